@@ -16,7 +16,7 @@ from vrcaps.cli.episodes import Check
 from vrcaps.cli.record import Record, _free_folder
 from vrcaps.config.fields import FileRef
 from vrcaps.core.errors import InputError
-from vrcaps.lumen.contents import prepared
+from vrcaps.lumen.preparation import prepared
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.replay import Replay

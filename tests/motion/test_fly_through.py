@@ -10,7 +10,6 @@ from vrcaps.core.geometry import transform_points
 from vrcaps.core.units import MM
 from vrcaps.motion.fly_through import FlyThrough, _free_part, fly_through
 from vrcaps.organ.surface import CLOSED_RADIUS
-from vrcaps.world.clearance import vital_clearance
 from vrcaps.world.model import Model
 
 
@@ -35,7 +34,7 @@ def test_every_device_stays_inside(tube, device):
         (2, replace(wild, start=0.9, end=0.1)),
     ):
         trajectory = _fly(model, settings, seed=seed)
-        assert vital_clearance(model, trajectory.Ts_world_capsule).min() > 0.0
+        assert model.vital_clearance(trajectory.Ts_world_capsule).min() > 0.0
         assert model.wall.signed_distance(trajectory.Ts_world_capsule[:, :3, 3]).min() > 0.0
         Ts = trajectory.Ts_world_capsule
         identity = Ts[:, :3, :3] @ np.swapaxes(Ts[:, :3, :3], 1, 2)
@@ -47,7 +46,7 @@ def test_margin_is_kept_where_there_is_room(model):
     """With a drift of nearly the whole radius the margin still holds away from the ends."""
     settings = FlyThrough(start=0.2, end=0.8, whole=True, drift=0.98, tilt=0.6, margin=0.004)
     trajectory = _fly(model, settings, frames=400)
-    assert vital_clearance(model, trajectory.Ts_world_capsule).min() > 0.98 * 0.004
+    assert model.vital_clearance(trajectory.Ts_world_capsule).min() > 0.98 * 0.004
 
 
 def test_without_wandering_it_rides_the_centerline(model):
@@ -200,7 +199,7 @@ def test_a_slack_wall_gives_way_to_cameras_in_the_shell():
     model = _constricted(2 * MM)
     trajectory = _fly(model, settings)
     poses = trajectory.Ts_world_capsule
-    clearance = vital_clearance(model, poses)
+    clearance = model.vital_clearance(poses)
     assert -1.0 * MM < clearance.min() < 0.0
     pose = poses[clearance.argmin()]
     wall = trajectory.wall_displacement.vertices_world(pose)

@@ -9,7 +9,6 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.units import DEG, MM
 from vrcaps.motion.random_views import RandomViews, _cone
 from vrcaps.organ.surface import CLOSED_RADIUS
-from vrcaps.world.clearance import capsule_clearance, vital_clearance
 from vrcaps.world.model import Model
 
 STRAIGHT = RandomViews(tilt=0.0, nearest=5.0 * MM, farthest=40.0 * MM, obliqueness=60.0 * DEG)
@@ -50,8 +49,8 @@ def lesion_of_face(model, faces):
 def test_views_are_free_and_at_rest(model):
     settings = RandomViews(margin=3.0 * MM)
     trajectory = begun(model, settings, frames=200)
-    assert vital_clearance(model, trajectory.Ts_world_capsule).min() >= 0.999 * settings.margin
-    assert capsule_clearance(model, trajectory.Ts_world_capsule).min() > 0.0
+    assert model.vital_clearance(trajectory.Ts_world_capsule).min() >= 0.999 * settings.margin
+    assert model.clearance(trajectory.Ts_world_capsule).min() > 0.0
     assert not trajectory.linear_velocities_world.any()
     assert not trajectory.angular_velocities_world.any()
     assert len(np.unique(trajectory.Ts_world_capsule[:, :3, 3], axis=0)) == 200

@@ -13,7 +13,6 @@ from vrcaps.motion.trajectory import (
     resample,
     trajectory_from_poses,
 )
-from vrcaps.world.clearance import require_inside
 
 
 def _helix(times, rate=2.0, pitch=0.01):
@@ -85,10 +84,10 @@ def test_require_inside_names_camera_frame_and_distance(model):
     inside, outside = points[60], points[60] + [0.0, 0.0, 0.05]
     Ts = transform_from(rotation, np.array([inside, inside, outside, outside]))
     good = trajectory_from_poses(np.arange(2.0), Ts[:2])
-    require_inside(model, good.Ts_world_capsule)
+    model.require_inside(good.Ts_world_capsule)
     bad = trajectory_from_poses(np.arange(4.0), Ts)
     with pytest.raises(InputError, match=r"mm outside the lumen of 'tube' at frame 2 \(2 of 4"):
-        require_inside(model, bad.Ts_world_capsule)
+        model.require_inside(bad.Ts_world_capsule)
     state = bad.state(2)
     assert state.time == 2.0
     np.testing.assert_array_equal(state.T_world_capsule, Ts[2])

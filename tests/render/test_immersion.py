@@ -13,9 +13,8 @@ from vrcaps.camera.derive import scaled_camera
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import rotation_from_vector, transform_from
-from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.medium import Film, Medium, film_relief
-from vrcaps.render.immersion import _NOISE_DEVIATION, order_ratio, shell_distance
+from vrcaps.lumen.contents import Contents, Film, Medium
+from vrcaps.render.immersion import _NOISE_DEVIATION, film_relief, order_ratio, shell_distance
 from vrcaps.render.renderer import Renderer
 from vrcaps.world.model import Model
 

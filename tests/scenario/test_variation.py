@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.lumen.contents import PREPARATIONS, Contents
-from vrcaps.lumen.medium import Film, Medium
+from vrcaps.lumen.contents import Contents, Film, Medium
+from vrcaps.lumen.preparation import PREPARATIONS
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.scenario.build import resolve
 from vrcaps.scenario.scenario import (

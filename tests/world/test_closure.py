@@ -16,9 +16,9 @@ from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.surface import CLOSED_RADIUS
 from vrcaps.render.renderer import DEFAULT_CHANNELS as CHANNELS
 from vrcaps.render.renderer import Renderer
-from vrcaps.world.clearance import WallDisplacement
 from vrcaps.world.closure import LumenClosure, closure_of
 from vrcaps.world.model import Model, State
+from vrcaps.world.wall_displacement import WallDisplacement
 
 RADIUS, LENGTH, CLOSED = 8 * MM, 200 * MM, 2 * MM
 

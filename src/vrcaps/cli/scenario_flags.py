@@ -165,7 +165,8 @@ def changes(flags: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 def _patient_changes(flags: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """The organ, the contents of its lumen, and the seed of both."""
     from vrcaps.config.convert import to_plain
-    from vrcaps.lumen.contents import Contents, prepared
+    from vrcaps.lumen.contents import Contents
+    from vrcaps.lumen.preparation import prepared
 
     is_file = False
     if flags["organ"] is not None:

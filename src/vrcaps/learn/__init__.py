@@ -6,8 +6,6 @@ and `predict` use them. The names in `__init__.pyi` are loaded when they are fir
 PyTorch takes seconds to load.
 """
 
-from typing import Any
-
 import lazy_loader
 
 from vrcaps.core.errors import MissingExtraError
@@ -15,7 +13,7 @@ from vrcaps.core.errors import MissingExtraError
 _load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Import a public name from its module.
 
     Raises:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from vrcaps.learn.task import Task
 from vrcaps.metrics.bootstrap import resampled_items
 from vrcaps.recording.frame_sequence import FrameSequence
 
+Terms = TypeVar("Terms")
 NETWORK = "network"
 UNPERTURBED = "unchanged"
 _RESAMPLES = 400
@@ -119,13 +120,13 @@ def main_metric(task: Task) -> str:
     return "abs_rel" if task.metric.name == "loss" else task.metric.name
 
 
-def _main(task: Task, terms: Sequence[Any]) -> float:
+def _main(task: Task[Terms], terms: Sequence[Terms]) -> float:
     return float(task.summary(terms).get(main_metric(task), np.nan))
 
 
 def _methods(
-    task: Task, result: EvaluationResult, groups: Sequence[str]
-) -> Mapping[str, Sequence[Any]]:
+    task: Task[Terms], result: EvaluationResult, groups: Sequence[str]
+) -> Mapping[str, Sequence[Terms]]:
     """Terms of each frame by method."""
     outputs = {NETWORK: result.outputs, **task.baselines(result.samples, groups)}
     return {
@@ -135,8 +136,8 @@ def _methods(
 
 
 def _bootstrapped(
-    summary: Callable[[Sequence[Any]], Mapping[str, float]],
-    terms: Sequence[Any],
+    summary: Callable[[Sequence[Terms]], Mapping[str, float]],
+    terms: Sequence[Terms],
     groups: Sequence[str],
 ) -> dict[str, tuple[float, float, float]]:
     """Value and percentile interval of each metric."""

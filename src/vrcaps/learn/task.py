@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeAlias, TypeVar, cast
 
 import numpy as np
 from torch import Tensor, nn
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from vrcaps.camera.camera import Camera
     from vrcaps.learn.picture_border import PictureView
 
+Terms = TypeVar("Terms")
+"""Part of a task's metrics that depends on one frame alone."""
 MAX_CLASSES = 1000
 """Maximum number of classes of a network."""
 MAX_WEIGHT = 1e6
@@ -63,7 +65,7 @@ class Metric:
         return best is None or (value < best if self.is_error else value > best)
 
 
-class Task:
+class Task(Generic[Terms]):
     """One task on images. Subclasses are frozen dataclasses whose fields are the task's settings.
 
     `TASKS.register` adds a subclass to the command line and lets checkpoints name it.
@@ -178,17 +180,18 @@ class Task:
             raise NotImplementedError
         return self.summary([self.terms(*pair) for pair in zip(outputs, samples, strict=True)])
 
-    def terms(self, output: NDArray, sample: Sample) -> Any:
+    def terms(self, output: NDArray, sample: Sample) -> Terms:
         """Part of the metrics that depends on one frame alone, for `summary`.
 
         Resampling of frames repeats only `summary`. Without these two methods, a task's `metrics`
         is repeated.
         """
-        return output, sample
+        return cast(Terms, (output, sample))
 
-    def summary(self, terms: Sequence[Any]) -> Mapping[str, float]:
+    def summary(self, terms: Sequence[Terms]) -> Mapping[str, float]:
         """Compute metrics from the terms of frames."""
-        outputs, samples = zip(*terms, strict=True)
+        pairs = cast(Sequence[tuple[NDArray, Sample]], terms)
+        outputs, samples = zip(*pairs, strict=True)
         return self.metrics(outputs, samples)
 
     def baselines(
@@ -250,7 +253,7 @@ class Task:
         return {}
 
 
-class BackboneTask(Task):
+class BackboneTask(Task[Terms]):
     """Task whose network has a timm encoder.
 
     Attributes:

@@ -1,10 +1,10 @@
-from .contents import PREPARATIONS as PREPARATIONS
 from .contents import Bubbles as Bubbles
 from .contents import Chyme as Chyme
 from .contents import Contents as Contents
 from .contents import Liquid as Liquid
-from .contents import prepared as prepared
 from .lumen_contents import LumenContents as LumenContents
 from .lumen_contents import populate as populate
 from .particles import Spheres as Spheres
 from .pools import Pools as Pools
+from .preparation import PREPARATIONS as PREPARATIONS
+from .preparation import prepared as prepared

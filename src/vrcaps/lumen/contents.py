@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import numpy as np
 
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import require
 from vrcaps.core.units import MM
-from vrcaps.lumen.medium import FILM_SEVERITIES, MEDIUM_SEVERITIES, Film, Medium
+from vrcaps.lumen.along_gut import drawn_along
 
 CM2 = 1e-4
 """A square centimeter [m²]."""
@@ -200,6 +201,129 @@ LIQUID_SEVERITIES: tuple[Liquid, ...] = tuple(
 """Liquid by severity, 0 (none) to 4 (a third full)."""
 
 
+@dataclass(frozen=True)
+class Medium:
+    """Turbid, bile-stained fluid in which the capsule is immersed.
+
+    It fills the lumen between the capsule and the wall. Amounts differ along the gut: a fraction of
+    its length has fluid, whose density is log-normal and the same in all views at one
+    position. Within a view it forms clouds and flocs that stay where they are.
+
+    Coefficients are those of small-bowel fluid by assumption: no measurements of turbidity in
+    vivo are known. Bilirubin absorbs blue; particles that are larger than the wavelength scatter
+    all colors alike, mostly forward.
+
+    Attributes:
+        prevalence: Fraction of the gut's length with fluid.
+        absorption: Absorption coefficient for red, green and blue at median density [1/m].
+        scattering: Scattering coefficient for red, green and blue at median density [1/m].
+        anisotropy: Mean cosine g of the scattering angle.
+        spread: Standard deviation of the logarithm of density from place to place.
+        patch_length: Distance along the gut over which it changes [m].
+        cloud_spread: Standard deviation of the logarithm of density within clouds.
+        cloud_size: Size of clouds [m].
+        floc_extinction: Extinction coefficient inside flocs [1/m].
+        floc_size: Distance between flocs [m].
+        floc_color: Fraction of its extinction that a floc scatters, for red, green and blue.
+    """
+
+    prevalence: Annotated[float, Range(0.0, 1.0)] = 1.0
+    absorption: tuple[float, float, float] = (12.0, 20.0, 75.0)
+    scattering: tuple[float, float, float] = (120.0, 120.0, 120.0)
+    anisotropy: Annotated[float, Range(min=0.0, below=1.0)] = 0.85
+    spread: Annotated[float, Range(min=0.0, max=3.0)] = 0.0
+    patch_length: Annotated[float, Range(above=0.0, unit="m")] = 40.0 * MM
+    cloud_spread: Annotated[float, Range(min=0.0, max=3.0)] = 0.6
+    cloud_size: Annotated[float, Range(above=0.0, unit="m")] = 6.0 * MM
+    floc_extinction: Annotated[float, Range(min=0.0, unit="1/m")] = 0.0
+    floc_size: Annotated[float, Range(above=0.0, unit="m")] = 2.0 * MM
+    floc_color: tuple[float, float, float] = (0.9, 0.8, 0.45)
+
+    def __post_init__(self) -> None:
+        check_fields(self, of="Medium")
+        for name in ("absorption", "scattering"):
+            value = getattr(self, name)
+            is_valid = all(0.0 <= x < math.inf for x in value)
+            require(is_valid, f"Medium's {name}", value, "0 or more 1/m for each color")
+        is_valid = all(0.0 <= x <= 1.0 for x in self.floc_color)
+        require(is_valid, "Medium's floc_color", self.floc_color, "0 to 1 for each color")
+
+    def density(self, arc_length: float, seed: int) -> float:
+        """Density at a position, relative to the median; 0 where there is no fluid.
+
+        Args:
+            arc_length: Position along the centerline [m].
+            seed: Seed of the contents.
+        """
+        place = arc_length / self.patch_length
+        streams = ("lumen/medium/presence", "lumen/medium/density")
+        present, factor = drawn_along(place, seed, streams, self.prevalence, self.spread)
+        return present * factor
+
+
+@dataclass(frozen=True)
+class Film:
+    """Film of mucus and fluid on the dome, which scatters light forward and softens the image.
+
+    A fraction ``1 − exp(−µ t)`` of the light is scattered, where the film has the thickness t and
+    the scattering coefficient µ; its directions spread by a Gaussian. The thickness differs over
+    the dome and changes as the capsule travels. Values are assumed.
+
+    Attributes:
+        prevalence: Fraction of the gut's length where there is a film on the dome.
+        thickness: Median thickness [m].
+        scattering: Scattering coefficient µ [1/m].
+        angle: Standard deviation of the deflection in one scattering, along one axis [rad].
+        spread: Standard deviation of the logarithm of the mean thickness from place to place.
+        relief: Standard deviation of the thickness over the dome, relative to its mean.
+        width: Size of thick and thin parts, as an angle seen from the pupil [rad].
+        patch_length: Distance of travel over which it changes [m].
+    """
+
+    prevalence: Annotated[float, Range(0.0, 1.0)] = 1.0
+    thickness: Annotated[float, Range(min=0.0, below=0.01, unit="m")] = 0.1 * MM
+    scattering: Annotated[float, Range(min=0.0, unit="1/m")] = 1.0e4
+    angle: Annotated[float, Range(above=0.0, below=1.0, unit="rad")] = 0.03
+    spread: Annotated[float, Range(min=0.0, max=3.0)] = 0.0
+    relief: Annotated[float, Range(min=0.0, max=3.0)] = 0.5
+    width: Annotated[float, Range(above=0.0, unit="rad")] = 0.35
+    patch_length: Annotated[float, Range(above=0.0, unit="m")] = 50.0 * MM
+
+    def __post_init__(self) -> None:
+        check_fields(self, of="Film")
+
+    def depth(self, arc_length: float, seed: int) -> float:
+        """Mean number of scatterings of a ray at a position, 0 without a film.
+
+        Args:
+            arc_length: Position along the centerline [m].
+            seed: Seed of the contents.
+        """
+        place = arc_length / self.patch_length
+        streams = ("lumen/film/presence", "lumen/film/thickness")
+        present, factor = drawn_along(place, seed, streams, self.prevalence, self.spread)
+        return present * self.scattering * self.thickness * factor
+
+
+MEDIUM_SEVERITIES: tuple[Medium | None, ...] = (
+    None,
+    Medium(absorption=(6.0, 10.0, 38.0), scattering=(50.0, 50.0, 50.0)),
+    Medium(),
+    Medium(absorption=(20.0, 32.0, 130.0), scattering=(250.0, 250.0, 250.0), floc_extinction=300.0),
+    Medium(absorption=(30.0, 48.0, 200.0), scattering=(500.0, 500.0, 500.0), floc_extinction=900.0),
+)
+"""Turbid fluid by severity, 0 (none) to 4 (mean free path 2 mm); assumed."""
+
+FILM_SEVERITIES: tuple[Film | None, ...] = (
+    None,
+    Film(thickness=0.05 * MM),
+    Film(thickness=0.1 * MM),
+    Film(thickness=0.2 * MM, angle=0.04),
+    Film(thickness=0.4 * MM, angle=0.05),
+)
+"""Film on the dome by severity, 0 (none) to 4 (nothing is sharp); assumed."""
+
+
 _Kind = TypeVar("_Kind", Bubbles, Chyme, Liquid)
 
 
@@ -271,58 +395,3 @@ class Contents:
 
 def _at_severity(given: int | _Kind | None, severities: Sequence[_Kind]) -> _Kind:
     return severities[given or 0] if given is None or isinstance(given, int) else given
-
-
-_STOOL, _FOOD = (0.18, 0.10, 0.028), (0.30, 0.21, 0.08)
-"""Linear colors of stool and of undigested food, matched to real frames by eye."""
-
-_CLEAR, _TURBID = (14.0, 13.0, 6.0), (70.0, 55.0, 20.0)
-"""Scattering coefficients of clean and of stained liquid [1/m]."""
-
-
-def _left(
-    froth: float, per_area: float, clump: float, sizes: tuple[float, float], fill: float
-) -> Contents:
-    """Contents with stool; `froth` and `per_area` in spheres per cm², `sizes` radius and spread."""
-    turbid = fill > 0.02
-    return Contents(
-        bubbles=Bubbles(per_area=froth / CM2, raft_size=8.0, radius=0.5 * MM),
-        chyme=Chyme(
-            per_area=per_area / CM2,
-            clump_size=clump,
-            radius=sizes[0] * MM,
-            spread=sizes[1],
-            largest=4.0 * MM,
-            settled=0.6,
-            white=0.2,
-            yellow_color=_STOOL,
-            white_color=_FOOD,
-        ),
-        liquid=Liquid(
-            fill=fill,
-            absorption=(40.0, 85.0, 300.0) if turbid else (25.0, 45.0, 150.0),
-            scattering=_TURBID if turbid else _CLEAR,
-        ),
-    )
-
-
-PREPARATIONS: tuple[Contents, ...] = (
-    _left(2.0, 40.0, 80.0, (0.8, 0.40), 0.25),
-    _left(1.5, 12.6, 50.0, (0.45, 0.45), 0.10),
-    _left(0.8, 1.3, 12.0, (0.25, 0.7), 0.025),
-    _left(0.3, 0.085, 4.0, (0.20, 0.7), 0.015),
-)
-"""Contents by segment score on the Boston bowel preparation scale (Lai et al., Gastrointest.
-Endosc. 69(3), 2009): 0 unprepared, solid stool hides the mucosa; 1 parts are hidden by stain, stool
-and opaque liquid; 2 minor stain, small fragments or opaque liquid, the mucosa seen well; 3 the
-whole mucosa seen well. The scale states no amounts: these are chosen by eye."""
-
-
-def prepared(score: int) -> Contents:
-    """Contents of a colon with a score on the Boston bowel preparation scale.
-
-    Raises:
-        InputError: If there is no such score.
-    """
-    require(score in range(len(PREPARATIONS)), "Preparation", score, "a Boston score, 0 to 3")
-    return PREPARATIONS[score]

@@ -1,4 +1,4 @@
-"""Two-point centerline follower with band-limited noise, for fly-throughs.
+"""Two-point centerline follower with band-limited noise, pushed off the wall, for fly-throughs.
 
 Two points of the capsule, near its ends, lie on a curve: the centerline plus a lateral drift. Body
 and cameras therefore follow bends. Drift, tilt, roll and speed vary with band-limited noise, a sum
@@ -15,13 +15,18 @@ import numpy as np
 
 from vrcaps.capsule.device import Device
 from vrcaps.core.geometry import rotation_from_vector, transform_from
+from vrcaps.core.units import MM
 from vrcaps.organ.surface import Centerline, interpolate
-from vrcaps.world.clearance import corrected
+from vrcaps.world.model import Model
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 _NUM_WAVES = 4
+_PROBE = 0.2 * MM
+_PUSH = 0.3 * MM
+_LEVER = 10.0 * MM  # distance equivalent to a rotation of 1 rad
+_MAX_PUSHES = 80
 
 
 @dataclass(frozen=True)
@@ -122,6 +127,56 @@ class CenterlineFollower:
         # Beyond the ends of the centerline the path continues straight.
         offset[:, 2] = s - np.clip(s, 0.0, self.centerline.length)
         return point + (frame @ offset[:, :, None])[:, :, 0]
+
+
+def corrected(
+    poses: Float[np.ndarray, "n 4 4"], correction: Float[np.ndarray, "n 6"]
+) -> Float[np.ndarray, "n 4 4"]:
+    """Shift [m] and rotate [rad] poses in their own frames."""
+    return poses @ transform_from(rotation_from_vector(correction[:, 3:]), correction[:, :3])
+
+
+def push_inside(
+    model: Model, poses: Float[np.ndarray, "n 4 4"], *, need: float, blur: float
+) -> Float[np.ndarray, "n 6"]:
+    """Smooth corrections of neighboring poses that move origin and cameras into the lumen.
+
+    Alternates between moving poses too close to the wall along the gradient of their clearance, and
+    blurring all corrections along the path. May fail where the lumen is too narrow.
+
+    Args:
+        model: The lumen and the capsule.
+        poses: Poses along a path, close to each other.
+        need: Clearance to reach [m].
+        blur: Standard deviation of the blur [poses].
+
+    Returns:
+        Shift [m] and rotation [rad] of each pose, for `corrected`.
+    """
+    from scipy.ndimage import binary_dilation, gaussian_filter1d  # slow to load
+
+    correction = np.zeros((len(poses), 6))
+    unit = np.array([1.0] * 3 + [1.0 / _LEVER] * 3)
+    blocked = model.vital_clearance(poses) < need
+    if not blocked.any():
+        return correction
+    # A push affects its neighbors only through the blur, so the window is limited to its reach.
+    window = np.flatnonzero(binary_dilation(blocked, iterations=int(10.0 * blur)))
+    for _ in range(_MAX_PUSHES):
+        clearance = model.vital_clearance(corrected(poses[window], correction[window]))
+        near, clearance = window[clearance < need], clearance[clearance < need]
+        if len(near) == 0:
+            break
+        gradient = np.empty((len(near), 6))
+        for axis in range(6):
+            probe = correction[near]
+            probe[:, axis] += _PROBE * unit[axis]
+            moved = model.vital_clearance(corrected(poses[near], probe))
+            gradient[:, axis] = moved - clearance
+        gradient /= np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
+        correction[near] += _PUSH * gradient * unit
+        correction = gaussian_filter1d(correction, blur, axis=0, mode="constant")
+    return correction
 
 
 def follower_offsets(device: Device) -> tuple[float, float]:

@@ -25,19 +25,12 @@ from vrcaps.motion.centerline_follower import (
     CenterlineFollower,
     follower_offsets,
     make_noise,
+    push_inside,
 )
 from vrcaps.motion.motion import MotionSettings
-from vrcaps.motion.trajectory import Trajectory
-from vrcaps.world.clearance import (
-    WallDisplacement,
-    capsule_clearance,
-    fit_text,
-    push_inside,
-    require_inside,
-    vital_clearance,
-)
-from vrcaps.world.closure import closure_of, margin_to
+from vrcaps.motion.trajectory import Trajectory, fit_text
 from vrcaps.world.model import Model
+from vrcaps.world.wall_displacement import WallDisplacement
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -160,7 +153,7 @@ def fly_through(
     wall_displacement = None if settings.rigid_wall else WallDisplacement(model, shown or model)
     trajectory = Trajectory(times, pose_at(times), *velocities, notes, wall_displacement)
     if not _gives_way(model, settings):
-        require_inside(model, trajectory.Ts_world_capsule)
+        model.require_inside(trajectory.Ts_world_capsule)
     return trajectory
 
 
@@ -237,7 +230,7 @@ def _fitted(
     for blur in _PUSH_BLURS:
         push = push_inside(model, poses, need=need, blur=blur / _KNOT_SPACING)
         fitted = replace(follower, correction=_linear(knots, push))
-        clearance = vital_clearance(model, fitted.poses(knots))
+        clearance = model.vital_clearance(fitted.poses(knots))
         if (clearance > 0.0).all():
             return fitted, float(knots[0]), float(knots[-1]), notes
     is_free = np.asarray(clearance > 0.0)
@@ -285,8 +278,8 @@ def _stretch(
     """
     asked = np.sort(np.array([settings.start, settings.end])) * model.organ.centerline.length
     knots = _knots(*asked)
-    clearance = vital_clearance(model, follower.poses(knots))
-    inside = np.flatnonzero(clearance > margin_to(model, settings.margin))
+    clearance = model.vital_clearance(follower.poses(knots))
+    inside = np.flatnonzero(clearance > model.wall_margin(settings.margin))
     if len(inside) < 2:
         inside = np.flatnonzero(clearance > _least_clearance(model, settings))
     if len(inside) < 2:
@@ -307,19 +300,19 @@ def _stretch(
 
 def _gives_way(model: Model, settings: FlyThrough) -> bool:
     """Whether the wall is slack and yields to the shell."""
-    return not settings.rigid_wall and closure_of(model) is not None
+    return not settings.rigid_wall and model.closed_radius > 0.0
 
 
 def _tilt(model: Model, settings: FlyThrough) -> float:
     """Maximum tilt that was asked for, or the default [rad]."""
     if settings.tilt is not None:
         return settings.tilt
-    return _TILT if closure_of(model) is None else _SLACK_TILT
+    return _TILT if model.closed_radius == 0.0 else _SLACK_TILT
 
 
 def _least_clearance(model: Model, settings: FlyThrough) -> float:
     """Clearance [m] up to which the capsule is pushed off the wall."""
-    return 0.25 * min(margin_to(model, settings.margin), model.device.radius)
+    return 0.25 * min(model.wall_margin(settings.margin), model.device.radius)
 
 
 def _eased(
@@ -329,15 +322,15 @@ def _eased(
     from scipy.interpolate import PchipInterpolator  # slow to load
 
     knots = _knots(low, high)
-    bare = capsule_clearance(model, follower.poses(knots))
+    bare = model.clearance(follower.poses(knots))
     # A point that is outside even without noise (an end of the shell) is ignored.
-    margin = margin_to(model, settings.margin)
+    margin = model.wall_margin(settings.margin)
     need = np.where(bare > 0.0, np.minimum(margin, 0.5 * bare), -np.inf)
     amplitude = np.ones_like(knots)
     slope = knots / settings.smoothness
     for attempt in range(16):
         wandering = replace(follower, amplitude=_linear(knots, amplitude))
-        near = (capsule_clearance(model, wandering.poses(knots)) < need).any(axis=1)
+        near = (model.clearance(wandering.poses(knots)) < need).any(axis=1)
         if not near.any():
             break
         amplitude[near] *= 0.7 if attempt < 12 else 0.0

@@ -15,10 +15,9 @@ from vrcaps.core.geometry import invert, look_along, rotation_from_vector, trans
 from vrcaps.core.rng import stream
 from vrcaps.core.units import DEG, MM
 from vrcaps.motion.motion import MotionSettings
-from vrcaps.motion.trajectory import Trajectory
-from vrcaps.world.clearance import WallDisplacement, capsule_clearance, fit_text, vital_clearance
-from vrcaps.world.closure import closure_of, margin_to
+from vrcaps.motion.trajectory import Trajectory, fit_text
 from vrcaps.world.model import Model
+from vrcaps.world.wall_displacement import WallDisplacement
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -121,7 +120,7 @@ def random_views(
         if not len(left):
             return poses
     nearest, _ = _distances(model, settings)
-    margin = margin_to(model, settings.margin)
+    margin = model.wall_margin(settings.margin)
     raise InputError(
         f"{model.device.name} in {model.organ.name}: {len(left)} of {frames} views have no "
         f"free position in {_MAX_DRAWS} draws each, with nearest {nearest:g} m and "
@@ -168,13 +167,13 @@ def _drawn(
     cameras = transform_from(upright @ roll, centers)
     poses = cameras @ invert(model.device.cameras[0].T_capsule_camera)
 
-    margin = margin_to(model, settings.margin)
+    margin = model.wall_margin(settings.margin)
     is_seen = np.asarray(model.wall.signed_distance(centers)) >= margin
     some = np.flatnonzero(is_seen)
     hit, _ = model.wall.cast(centers[some], -towards_camera[some])
     some = some[np.abs(hit - distance[some]) <= _HIT_SLACK]
-    some = some[vital_clearance(model, poses[some]) >= margin]
-    some = some[capsule_clearance(model, poses[some]).min(axis=1) > 0.0]
+    some = some[model.vital_clearance(poses[some]) >= margin]
+    some = some[model.clearance(poses[some]).min(axis=1) > 0.0]
     is_seen[:] = False
     is_seen[some] = True
     return poses, is_seen
@@ -182,7 +181,7 @@ def _drawn(
 
 def _distances(model: Model, settings: RandomViews) -> tuple[float, float]:
     """Minimum and maximum distance from the camera to its target [m]."""
-    if closure_of(model) is None:
+    if model.closed_radius == 0.0:
         return settings.nearest, settings.farthest
     nearest, farthest = _SLACK_DISTANCES
     return min(settings.nearest, nearest), min(settings.farthest, farthest)

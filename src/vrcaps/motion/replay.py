@@ -26,7 +26,6 @@ from vrcaps.core.geometry import (
 from vrcaps.core.units import DEG, parse_length
 from vrcaps.motion.motion import MotionSettings
 from vrcaps.motion.trajectory import Trajectory, resample, trajectory_from_poses
-from vrcaps.world.clearance import require_inside
 from vrcaps.world.model import Model
 
 if TYPE_CHECKING:
@@ -113,7 +112,7 @@ def replay(model: Model, settings: Replay, *, frames: int, fps: float) -> Trajec
         sampled.notes,
     )
     if not settings.allow_outside:
-        require_inside(model, trajectory.Ts_world_capsule)
+        model.require_inside(trajectory.Ts_world_capsule)
     return trajectory
 
 

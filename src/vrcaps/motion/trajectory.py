@@ -18,8 +18,9 @@ from vrcaps.core.geometry import (
 )
 from vrcaps.core.units import MM
 from vrcaps.motion.motion import MotionState, Step, with_neighbors
-from vrcaps.world.clearance import WallDisplacement, capsule_clearance, fit_text
+from vrcaps.organ.measure import lumen_diameters, unit_question
 from vrcaps.world.model import Model, State
+from vrcaps.world.wall_displacement import WallDisplacement
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -140,6 +141,18 @@ def resample(trajectory: Trajectory, times: Float[np.ndarray, " k"]) -> Trajecto
     return Trajectory(times, Ts_world_capsule, linear, angular, trajectory.notes)
 
 
+def fit_text(model: Model) -> str:
+    """Sentence on the widths of lumen and capsule, and on the unit of the organ's file."""
+    organ = model.organ
+    least, median, most = lumen_diameters(organ.centerline)
+    unit = organ.metadata.get("unit")
+    question = unit_question(unit, median) if isinstance(unit, str) else ""
+    return (
+        f"the lumen is {least / MM:.1f} to {most / MM:.1f} mm wide, the capsule "
+        f"{2.0 * model.device.radius / MM:.1f} mm thick.{question}"
+    )
+
+
 _SPACING = 2.0 * MM
 """Distance between the positions that are tried."""
 
@@ -166,7 +179,7 @@ def start_pose(
     end = line.length if start <= 0.5 else 0.0
     arc_lengths = np.linspace(wanted, end, max(2, math.ceil(abs(end - wanted) / _SPACING) + 1))
     poses = model.centerline_poses(arc_lengths, angle=angle)
-    clearance = capsule_clearance(model, poses).min(axis=1)
+    clearance = model.clearance(poses).min(axis=1)
     fitting = np.flatnonzero(clearance > _CLEARANCE * model.device.radius)
     if len(fitting) == 0:
         raise InputError(

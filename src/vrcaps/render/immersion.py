@@ -19,13 +19,13 @@ from vrcaps.camera.camera import camera_rays
 from vrcaps.camera.derive import focal_length_px
 from vrcaps.core.geometry import invert
 from vrcaps.core.rng import stream
-from vrcaps.lumen.medium import Medium, film_relief
+from vrcaps.lumen.contents import Film, Medium
 from vrcaps.render.scattering import directions, h_function
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from jaxtyping import Bool, Float
+    from jaxtyping import Bool, Float, Int
 
     from vrcaps.camera.camera import Camera
     from vrcaps.capsule.device import Device
@@ -218,3 +218,61 @@ def _angles(rays: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 2"]:
     lateral = np.hypot(rays[..., 0], rays[..., 1])
     factor = np.arctan2(lateral, rays[..., 2]) / np.maximum(lateral, 1e-12)
     return rays[..., :2] * factor[..., None]
+
+
+_WAVES = 32
+_COARSE = 4
+"""Pixels between those where the thickness of a film is computed."""
+
+
+def film_relief(
+    film: Film, points: Float[np.ndarray, "h w 2"], seed: int, index: int
+) -> Callable[[float], Float[np.ndarray, "h w"]]:
+    """Thickness over the dome relative to its mean, as a function of the arc length [m].
+
+    A sum of waves of random direction whose phases advance with the travel of the capsule.
+
+    Args:
+        film: The film.
+        points: Angles of each pixel's ray from the camera's axis, to the right and down [rad].
+        seed: Seed of the contents.
+        index: Index of the camera.
+    """
+    rng = stream(seed, "lumen/film/relief", index)
+    waves = rng.standard_normal((_WAVES, 2)) / film.width
+    phases = rng.uniform(0.0, 2.0 * np.pi, _WAVES)
+    rates = rng.standard_normal(_WAVES) * (np.pi / film.patch_length)
+    height, width = points.shape[:2]
+    down, right = _upsampling(height), _upsampling(width)
+    coarse = points[::_COARSE, ::_COARSE]
+    angles = np.einsum("kc,yxc->kyx", waves, np.nan_to_num(coarse))
+    basis = np.concatenate([np.cos(angles), -np.sin(angles)]).astype(np.float32)
+    scale = film.relief * math.sqrt(2.0 / _WAVES)
+
+    def at(arc_length: float) -> Float[np.ndarray, "h w"]:
+        turned = phases + rates * arc_length
+        factors = np.concatenate([np.cos(turned), np.sin(turned)]).astype(np.float32)
+        # Without BLAS, whose idle threads would take time from the renderer.
+        relief = np.maximum(1.0 + scale * np.einsum("k,kyx->yx", factors, basis), 0.0)
+        first, second, t = down
+        relief = relief[first] + t[:, None] * (relief[second] - relief[first])
+        first, second, t = right
+        before, after = relief.take(first, axis=1), relief.take(second, axis=1)
+        return before + t * (after - before)
+
+    return at
+
+
+def _upsampling(
+    count: int,
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Indices and weights of linear interpolation from every few pixels to all.
+
+    Returns:
+        Indices of the sample before and after each pixel, and the weight of the latter; the last
+        sample is repeated.
+    """
+    place = np.arange(count) / _COARSE
+    last = (count - 1) // _COARSE
+    first = np.minimum(place.astype(int), last)
+    return first, np.minimum(first + 1, last), (place - first).astype(np.float32)

@@ -15,7 +15,6 @@ from vrcaps.core.errors import InputError, require_extra
 from vrcaps.core.units import LENGTH_UNITS
 from vrcaps.lesion import Lesion, add_lesions, lesion_rng
 from vrcaps.lesion.placement import require_possible
-from vrcaps.mucosa.mucosa import Mucosa
 from vrcaps.mucosa.settings import MucosaSettings
 from vrcaps.organ.organ_file import is_organ_file
 from vrcaps.organ.segments import ORGANS
@@ -177,7 +176,9 @@ class OrganSource:
 
         given = self.given
         if isinstance(given, OrganGenerated):
-            mucosa = _mucosa(given, ORGANS[given.name].mucosa if given.name in ORGANS else "")
+            mucosa = given.mucosa
+            if isinstance(mucosa, MucosaSettings):
+                mucosa = mucosa.of(ORGANS[given.name].mucosa if given.name in ORGANS else "")
             return generate_organ(
                 given.name, seed=given.seed, distension=given.distension, mucosa=mucosa
             )
@@ -196,7 +197,9 @@ class OrganSource:
         from vrcaps.mucosa.mucosa import own_mucosa
 
         own = own_mucosa(organ)
-        mucosa = None if isinstance(self.given, OrganSurface) else _mucosa(self.given, own)
+        mucosa = None if isinstance(self.given, OrganSurface) else self.given.mucosa
+        if isinstance(mucosa, MucosaSettings):
+            mucosa = mucosa.of(own)
         look = bake_appearance(organ, seed=self.seed, mucosa=mucosa or own)
         return replace(organ, appearance=look)
 
@@ -244,12 +247,6 @@ def resolve_organ(organ: Organ) -> Organ:
             )
         organ = replace(organ, unit="m")
     return with_checksums(organ)
-
-
-def _mucosa(organ: OrganGenerated | OrganFile, own: str) -> str | Mucosa | None:
-    """Name of a mucosa, path of its texture, or its parameters; `own` is that of the organ."""
-    given = organ.mucosa
-    return given.of(own) if isinstance(given, MucosaSettings) else given
 
 
 def _max_diameter(organ: OrganGenerated) -> float:

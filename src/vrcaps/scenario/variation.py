@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from vrcaps.core.rng import stream
-from vrcaps.lumen.contents import CM2, PREPARATIONS, Bubbles, Chyme, Contents
-from vrcaps.lumen.medium import Film, Medium
+from vrcaps.lumen.contents import CM2, Bubbles, Chyme, Contents, Film, Medium
+from vrcaps.lumen.preparation import PREPARATIONS
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.organ.segments import Distension
 from vrcaps.scenario.scenario import OrganGenerated, Scenario

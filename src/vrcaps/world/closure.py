@@ -13,17 +13,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.errors import require
 from vrcaps.core.geometry import smoothstep, transform_points
 from vrcaps.core.units import MM
-from vrcaps.organ.surface import CLOSED_RADIUS, interpolate
+from vrcaps.organ.surface import interpolate
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
     from vrcaps.world.model import Model
 
-MAX_CLOSED_RADIUS = 5 * MM
 _LEAST = 0.35 * MM
 """Minimum radius of a closed lumen [m]: the film of fluid between folds in contact."""
 _SOFT = 0.9 * MM
@@ -156,27 +154,14 @@ class LumenClosure:
         return organ.arc_length, center, course, outward, radius, organ.theta, mean
 
 
-SLACK_MARGIN = 0.5 * MM
-"""Distance that cameras and body axis keep from the wall at rest of a closed lumen, which gives way
-to the shell [m]."""
-
-
-def margin_to(model: Model, margin: float) -> float:
-    """Distance that cameras keep from the wall at rest [m]: less than `margin` if it is slack."""
-    return margin if closure_of(model) is None else min(margin, SLACK_MARGIN)
-
-
 def closure_of(model: Model) -> LumenClosure | None:
     """Closure that the metadata of a model's organ ask for; None leaves the lumen open.
 
     Raises:
         InputError: If the metadata are invalid.
     """
-    radius = model.organ.metadata.get(CLOSED_RADIUS, 0.0)
-    is_valid = isinstance(radius, int | float) and 0.0 <= radius <= MAX_CLOSED_RADIUS
-    name = f"{CLOSED_RADIUS} in the metadata of {model.organ.name}"
-    require(is_valid, name, radius, f"0 (open) to {MAX_CLOSED_RADIUS:g} m")
-    return LumenClosure(model, float(radius)) if radius > 0.0 else None
+    radius = model.closed_radius
+    return LumenClosure(model, radius) if radius > 0.0 else None
 
 
 def _linear(

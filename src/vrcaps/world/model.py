@@ -11,7 +11,7 @@ import numpy as np
 
 from vrcaps._core import Wall
 from vrcaps.capsule.device import Device
-from vrcaps.core.errors import UnknownNameError, require
+from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.core.geometry import (
     invert,
     rotation_from_vector,
@@ -19,9 +19,10 @@ from vrcaps.core.geometry import (
     transform_points,
     wall_of,
 )
+from vrcaps.core.units import MM
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.lumen_contents import CHYME, LumenContents, populate, wall_anchors
-from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.surface import CLOSED_RADIUS, OrganSurface
 from vrcaps.tissue.motility.layout import sample_coordinates
 
 if TYPE_CHECKING:
@@ -35,6 +36,10 @@ _POSTURES = {
     "right-lateral": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
     "standing": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
 }
+
+MAX_CLOSED_RADIUS = 5 * MM
+_SLACK_MARGIN = 0.5 * MM
+"""Distance that cameras and body axis keep from the wall at rest of a closed lumen [m]."""
 
 POSTURES = tuple(_POSTURES)
 """Names of postures, for `posture_transform`."""
@@ -84,6 +89,63 @@ class Model:
     def __deepcopy__(self, memo: object) -> Model:
         """Return itself, as it is immutable."""
         return self
+
+    @property
+    def closed_radius(self) -> float:
+        """Median radius of the lumen away from the capsule [m], 0 if it stays open.
+
+        Raises:
+            InputError: If the metadata of the organ, which state it, are invalid.
+        """
+        radius = self.organ.metadata.get(CLOSED_RADIUS, 0.0)
+        is_valid = isinstance(radius, int | float) and 0.0 <= radius <= MAX_CLOSED_RADIUS
+        name = f"{CLOSED_RADIUS} in the metadata of {self.organ.name}"
+        require(is_valid, name, radius, f"0 (open) to {MAX_CLOSED_RADIUS:g} m")
+        return float(radius)
+
+    def wall_margin(self, margin: float) -> float:
+        """Distance that cameras keep from the wall at rest [m]: less than `margin` if it is slack.
+
+        A slack wall gives way to the shell.
+        """
+        return min(margin, _SLACK_MARGIN) if self.closed_radius > 0.0 else margin
+
+    def clearance(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n p"]:
+        """Distance to the wall [m] of the origin, each camera, and both ends of the body's axis.
+
+        Args:
+            poses: Poses of the capsule in the world frame.
+        """
+        axis = self.device.length / 2.0 - self.device.radius
+        points = [np.zeros(3)]
+        points += [np.array(camera.position, float) for camera in self.device.cameras]
+        points += [np.array([0.0, 0.0, axis]), np.array([0.0, 0.0, -axis])]
+        points_world = transform_points(poses, np.array(points)[None])
+        distance = self.wall.signed_distance(points_world.reshape(-1, 3))
+        return np.asarray(distance, float).reshape(points_world.shape[:2])
+
+    def vital_clearance(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, " n"]:
+        """Minimum distance to the wall [m] of origin and cameras, which must be positive."""
+        return self.clearance(poses)[:, : 1 + len(self.device.cameras)].min(axis=1)
+
+    def require_inside(self, poses: Float[np.ndarray, "n 4 4"]) -> None:
+        """Check that every camera stays inside the lumen at all poses ``Ts_world_capsule``.
+
+        Raises:
+            InputError: If a camera is outside in any frame; states the first and their number.
+        """
+        clearance = self.clearance(poses)[:, 1 : 1 + len(self.device.cameras)]
+        outside = np.argwhere(~(clearance > 0.0))
+        if len(outside) == 0:
+            return
+        frame, camera = outside[0]
+        raise InputError(
+            f"Camera {self.device.cameras[camera].name!r} is {-clearance[frame, camera] / MM:.1f} "
+            f"mm outside the lumen of {self.organ.name!r} at frame {frame} "
+            f"({len(np.unique(outside[:, 0]))} of {len(poses)} frames are outside). Check the "
+            "path's unit, handedness and placement, or accept them: allow_outside, on the command "
+            "line motion.allow_outside=true."
+        )
 
     def with_device(self, device: Device) -> Model:
         """The same model with another capsule; data of the organ alone is shared."""

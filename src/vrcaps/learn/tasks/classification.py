@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Annotated, ClassVar, cast
 
 import numpy as np
 from torch import Tensor, nn
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ClassificationTask(BackboneTask):
+class ClassificationTask(BackboneTask[tuple[np.ndarray, int]]):
     """Image classification: normal or lesion type.
 
     The label of an image in a folder of classes is the name of its folder. The label of a recorded
@@ -168,11 +168,11 @@ class ClassificationTask(BackboneTask):
         output = self.output(network, batch)
         return {"loss": nn.functional.cross_entropy(output, batch["class"].long())}
 
-    def terms(self, output: NDArray, sample: Sample) -> Any:
+    def terms(self, output: NDArray, sample: Sample) -> tuple[np.ndarray, int]:
         """Logits and true class of one image."""
         return output, int(sample["class"])
 
-    def summary(self, terms: Sequence[Any]) -> Mapping[str, float]:
+    def summary(self, terms: Sequence[tuple[np.ndarray, int]]) -> Mapping[str, float]:
         """Mean F1 of the classes that occur, F1 of each, accuracy, Matthews coefficient and AUC."""
         logits = np.stack([output for output, _ in terms])
         truth = np.array([label for _, label in terms])
@@ -231,8 +231,8 @@ class _ClassificationNetwork(nn.Module):
         self.net = classifier(encoder, classes, is_pretrained=is_pretrained, dropout=dropout)
         # timm scales the last layer's weights by the number of classes: with few classes they
         # are so large that hundreds of steps are spent on reducing them.
-        head: nn.Module = cast(Any, self.net).get_classifier()
-        for value in head.parameters():
+        get_head = cast(Callable[[], nn.Module], self.net.get_classifier)
+        for value in get_head().parameters():
             nn.init.zeros_(value)
 
     def forward(self, image: Tensor) -> Tensor:

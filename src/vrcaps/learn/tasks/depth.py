@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, TypeAlias
 
 import numpy as np
 import torch
@@ -35,7 +35,7 @@ from vrcaps.learn.picture_border import (
     view_of,
 )
 from vrcaps.learn.task import MAX_WEIGHT, BackboneTask, Batch, Losses, Metric, Sample, total
-from vrcaps.metrics.depth import depth_errors, mean_depth_errors
+from vrcaps.metrics.depth import DepthErrors, depth_errors, mean_depth_errors
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.render.channels import CHANNELS
 
@@ -53,10 +53,12 @@ _DARK = 0.004
 _SCALES = 4
 _MAX_EXPOSURE = 4.0
 """Maximum change of an exposure that is treated as unknown, as a factor."""
+DepthTerms: TypeAlias = tuple[DepthErrors, float, float, float]
+"""Depth errors of one frame: unaligned, scaled by the median, rank correlation, ln scale."""
 
 
 @dataclass(frozen=True)
-class DepthTask(BackboneTask):
+class DepthTask(BackboneTask[DepthTerms]):
     """Metric depth z of every pixel [m].
 
     Attributes:
@@ -157,11 +159,11 @@ class DepthTask(BackboneTask):
         """Loss terms over the pixels that have a true depth."""
         return depth_loss(self.output(network, batch), batch["depth"], self.gradient_weight)
 
-    def terms(self, output: NDArray, sample: Sample) -> Any:
+    def terms(self, output: NDArray, sample: Sample) -> DepthTerms:
         """Errors of one frame without alignment and after scaling by the median, rank and scale."""
         return depth_terms(depth_of(output), sample["depth"])
 
-    def summary(self, terms: Sequence[Any]) -> Mapping[str, float]:
+    def summary(self, terms: Sequence[DepthTerms]) -> Mapping[str, float]:
         """Means over frames; `scale` is the geometric mean of median prediction over median truth.
 
         `rank` is Spearman's correlation: it needs no scale, and is 0 for a constant.
@@ -193,8 +195,8 @@ def _exposed(
     return srgb_from_linear(np.clip(factor * linear_from_srgb(image), 0.0, 1.0))
 
 
-def depth_terms(estimate: Float[np.ndarray, "s s"], truth: Float[np.ndarray, "s s"]) -> Any:
-    """Depth errors of one frame: unaligned, scaled by the median, rank correlation, ln scale."""
+def depth_terms(estimate: Float[np.ndarray, "s s"], truth: Float[np.ndarray, "s s"]) -> DepthTerms:
+    """Depth errors of one frame, see `DepthTerms`."""
     from scipy.stats import rankdata
 
     with np.errstate(invalid="ignore"):
@@ -206,7 +208,7 @@ def depth_terms(estimate: Float[np.ndarray, "s s"], truth: Float[np.ndarray, "s 
     return plain, aligned.abs_rel, rank, float(np.log(np.median(d) / np.median(t)))
 
 
-def depth_summary(terms: Sequence[Any]) -> Mapping[str, float]:
+def depth_summary(terms: Sequence[DepthTerms]) -> Mapping[str, float]:
     """Means of the depth errors of frames, and the geometric mean of their scales."""
     plain, aligned, rank, log_scale = zip(*terms, strict=True)
     return {

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
 import numpy as np
 import torch
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 LESION = "lesion"
 """Class of any lesion: any `instance` of a recording, any mask of an image folder."""
+Scores: TypeAlias = list[dict[str, float]]
+"""Metrics of one image by name, for each class."""
 _OUTLINE = np.array([60, 220, 90], np.uint8)
 _METRICS = ("dice", "iou", "boundary_f", "specificity")
 _UNKNOWN = 2
@@ -37,7 +39,7 @@ _UNKNOWN = 2
 
 
 @dataclass(frozen=True)
-class SegmentationTask(BackboneTask):
+class SegmentationTask(BackboneTask[Scores]):
     """Lesion segmentation, with one mask per class; masks may overlap.
 
     Attributes:
@@ -120,9 +122,9 @@ class SegmentationTask(BackboneTask):
         """Cross-entropy and Dice over the pixels of the images."""
         return segmentation_loss(self.output(network, batch), batch["mask"])
 
-    def terms(self, output: NDArray, sample: Sample) -> Any:
+    def terms(self, output: NDArray, sample: Sample) -> Scores:
         """Metrics of each class of one image."""
-        values = []
+        values: Scores = []
         for index in range(len(self.classes)):
             mask = sample["mask"][..., index]
             truth, estimate = mask == 1, (output[index] > 0.0) & (mask != _UNKNOWN)
@@ -133,7 +135,7 @@ class SegmentationTask(BackboneTask):
             values.append(dict(zip(("dice", "iou", "boundary_f"), scores, strict=True)))
         return values
 
-    def summary(self, terms: Sequence[Any]) -> Mapping[str, float]:
+    def summary(self, terms: Sequence[Scores]) -> Mapping[str, float]:
         """Means over images and classes; images without a lesion count in `specificity` only.
 
         `specificity` is the fraction of lesion-free masks with an empty prediction.

@@ -27,7 +27,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Annotated, ClassVar, cast
 
 import numpy as np
 import torch
@@ -62,6 +62,7 @@ from vrcaps.learn.task import MAX_WEIGHT, BackboneTask, Batch, Losses, Metric, S
 from vrcaps.learn.tasks.depth import (
     MIDDLE,
     DepthNetwork,
+    DepthTerms,
     depth_loss,
     depth_of,
     depth_picture,
@@ -86,7 +87,7 @@ _MIN_POSES = 3
 
 
 @dataclass(frozen=True)
-class SfmTask(BackboneTask):
+class SfmTask(BackboneTask[DepthTerms | None]):
     """Depth up to scale and camera motion, from video without labels.
 
     Attributes:
@@ -221,13 +222,13 @@ class SfmTask(BackboneTask):
         _, motion = _motion(network, image, image.roll(1, 0), ray, own)
         return {"output": own, "motion": motion}
 
-    def terms(self, output: NDArray, sample: Sample) -> Any:
+    def terms(self, output: NDArray, sample: Sample) -> DepthTerms | None:
         """Depth errors of one frame; None if its true depth is not known."""
         if "depth" not in sample:
             return None
         return depth_terms(_depth_of(output, sample), sample["depth"])
 
-    def summary(self, terms: Sequence[Any]) -> Mapping[str, float]:
+    def summary(self, terms: Sequence[DepthTerms | None]) -> Mapping[str, float]:
         """Depth errors after scaling by the median of each frame, where true depth is known."""
         known = [one for one in terms if one is not None]
         if not known:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 import torch
@@ -58,7 +58,7 @@ _METRICS = ("psnr", "ssim", "feature_distance")
 
 
 @dataclass(frozen=True)
-class SuperResolutionTask(Task):
+class SuperResolutionTask(Task[tuple[float, float, float]]):
     """Upsampling of images by a factor of two, four or eight per side.
 
     Attributes:
@@ -211,14 +211,14 @@ class SuperResolutionTask(Task):
             terms["style"] = self.style * style_loss(outputs, targets)
         return terms
 
-    def terms(self, output: NDArray, sample: Sample) -> Any:
+    def terms(self, output: NDArray, sample: Sample) -> tuple[float, float, float]:
         """PSNR [dB], SSIM and feature distance of one 8-bit image."""
         image, truth = image_of(output), sample["truth"]
         within = {"data_range": _LARGEST, "crop": self.factor}
         distance = feature_distance(image, truth, self.feature_encoder)
         return psnr(image, truth, **within), ssim(image, truth, **within), distance
 
-    def summary(self, terms: Sequence[Any]) -> Mapping[str, float]:
+    def summary(self, terms: Sequence[tuple[float, float, float]]) -> Mapping[str, float]:
         """Mean PSNR [dB], SSIM and feature distance of 8-bit images.
 
         A border of `factor` pixels is excluded. `feature_distance` is that of `losses`,

@@ -1,4 +1,4 @@
-"""Clearance between capsule and wall: poses corrected into the lumen, narrow walls displaced."""
+"""Displacement of a wall that gives way to the capsule's shell."""
 
 from __future__ import annotations
 
@@ -8,119 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.errors import InputError
-from vrcaps.core.geometry import invert, rotation_from_vector, transform_from, transform_points
-from vrcaps.core.units import MM
-from vrcaps.organ.measure import lumen_diameters, unit_question
+from vrcaps.core.geometry import invert, transform_points
 from vrcaps.world.closure import LumenClosure, closure_of
 from vrcaps.world.model import Model
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
-
-_PROBE = 0.2 * MM
-_PUSH = 0.3 * MM
-_LEVER = 10.0 * MM  # distance equivalent to a rotation of 1 rad
-_MAX_PUSHES = 80
-
-
-def capsule_clearance(model: Model, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n p"]:
-    """Distance to the wall [m] of the origin, each camera, and both ends of the body's axis."""
-    axis = model.device.length / 2.0 - model.device.radius
-    points = [np.zeros(3)]
-    points += [np.array(camera.position, float) for camera in model.device.cameras]
-    points += [np.array([0.0, 0.0, axis]), np.array([0.0, 0.0, -axis])]
-    points_world = transform_points(poses, np.array(points)[None])
-    distance = model.wall.signed_distance(points_world.reshape(-1, 3))
-    return np.asarray(distance, float).reshape(points_world.shape[:2])
-
-
-def vital_clearance(model: Model, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, " n"]:
-    """Minimum distance to the wall [m] of origin and cameras, which must be positive."""
-    return capsule_clearance(model, poses)[:, : 1 + len(model.device.cameras)].min(axis=1)
-
-
-def require_inside(model: Model, poses: Float[np.ndarray, "n 4 4"]) -> None:
-    """Check that every camera stays inside the lumen at all poses ``Ts_world_capsule``.
-
-    Raises:
-        InputError: If a camera is outside in any frame; states the first and their number.
-    """
-    clearance = capsule_clearance(model, poses)[:, 1 : 1 + len(model.device.cameras)]
-    outside = np.argwhere(~(clearance > 0.0))
-    if len(outside) == 0:
-        return
-    frame, camera = outside[0]
-    raise InputError(
-        f"Camera {model.device.cameras[camera].name!r} is {-clearance[frame, camera] / MM:.1f} mm "
-        f"outside the lumen of {model.organ.name!r} at frame {frame} "
-        f"({len(np.unique(outside[:, 0]))} of {len(poses)} frames are outside). Check the "
-        "path's unit, handedness and placement, or accept them: allow_outside, on the command "
-        "line motion.allow_outside=true."
-    )
-
-
-def fit_text(model: Model) -> str:
-    """Sentence on the widths of lumen and capsule, and on the unit of the organ's file."""
-    organ = model.organ
-    least, median, most = lumen_diameters(organ.centerline)
-    unit = organ.metadata.get("unit")
-    question = unit_question(unit, median) if isinstance(unit, str) else ""
-    return (
-        f"the lumen is {least / MM:.1f} to {most / MM:.1f} mm wide, the capsule "
-        f"{2.0 * model.device.radius / MM:.1f} mm thick.{question}"
-    )
-
-
-def corrected(
-    poses: Float[np.ndarray, "n 4 4"], correction: Float[np.ndarray, "n 6"]
-) -> Float[np.ndarray, "n 4 4"]:
-    """Shift [m] and rotate [rad] poses in their own frames."""
-    return poses @ transform_from(rotation_from_vector(correction[:, 3:]), correction[:, :3])
-
-
-def push_inside(
-    model: Model, poses: Float[np.ndarray, "n 4 4"], *, need: float, blur: float
-) -> Float[np.ndarray, "n 6"]:
-    """Smooth corrections of neighboring poses that move origin and cameras into the lumen.
-
-    Alternates between moving poses too close to the wall along the gradient of their clearance, and
-    blurring all corrections along the path. May fail where the lumen is too narrow.
-
-    Args:
-        model: The lumen and the capsule.
-        poses: Poses along a path, close to each other.
-        need: Clearance to reach [m].
-        blur: Standard deviation of the blur [poses].
-
-    Returns:
-        Shift [m] and rotation [rad] of each pose, for `corrected`.
-    """
-    from scipy.ndimage import binary_dilation, gaussian_filter1d  # slow to load
-
-    correction = np.zeros((len(poses), 6))
-    unit = np.array([1.0] * 3 + [1.0 / _LEVER] * 3)
-    blocked = vital_clearance(model, poses) < need
-    if not blocked.any():
-        return correction
-    # A push affects its neighbors only through the blur, so the window is limited to its reach.
-    window = np.flatnonzero(binary_dilation(blocked, iterations=int(10.0 * blur)))
-    for _ in range(_MAX_PUSHES):
-        clearance = vital_clearance(model, corrected(poses[window], correction[window]))
-        near, clearance = window[clearance < need], clearance[clearance < need]
-        if len(near) == 0:
-            break
-        gradient = np.empty((len(near), 6))
-        for axis in range(6):
-            probe = correction[near]
-            probe[:, axis] += _PROBE * unit[axis]
-            moved = vital_clearance(model, corrected(poses[near], probe))
-            gradient[:, axis] = moved - clearance
-        gradient /= np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
-        correction[near] += _PUSH * gradient * unit
-        correction = gaussian_filter1d(correction, blur, axis=0, mode="constant")
-    return correction
-
 
 _LOOKS = 17
 """Number of points of the axis at which the distance to the wall is measured."""

@@ -13,8 +13,8 @@ from vrcaps.core.geometry import invert, transform_points
 from vrcaps.core.units import MM
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.motion.trajectory import Trajectory
-from vrcaps.world.clearance import WallDisplacement
 from vrcaps.world.model import Model
+from vrcaps.world.wall_displacement import WallDisplacement
 
 
 @pytest.fixture(scope="module")

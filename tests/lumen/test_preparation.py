@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vrcaps.core.errors import InputError
-from vrcaps.lumen.contents import PREPARATIONS, prepared
+from vrcaps.lumen.preparation import PREPARATIONS, prepared
 
 
 def test_the_better_the_score_the_less_is_left():

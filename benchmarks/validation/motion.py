@@ -23,7 +23,7 @@ from benchmarks.common.scripts import parser, table, write_section
 from vrcaps.core.geometry import invert, transform_from
 from vrcaps.formats.io import read_sources
 from vrcaps.learn.checkpoint import TrainedNetwork, read_weights
-from vrcaps.learn.comparison import bootstrapped_errors
+from vrcaps.learn.evaluation import bootstrapped_errors
 from vrcaps.learn.motion_errors import motion_baselines, motion_errors
 from vrcaps.learn.tasks.sfm import SfmTask
 from vrcaps.recording.frame_sequence import FrameSequence

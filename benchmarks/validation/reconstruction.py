@@ -34,8 +34,7 @@ from vrcaps.recording.episode import read_episode
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import OrganGenerated, Scenario
-from vrcaps.tools.reconstruction.comparison import compare
-from vrcaps.tools.reconstruction.estimates import aligned, with_network_depth, with_poses
+from vrcaps.tools.reconstruction.estimates import aligned, compare, with_network_depth, with_poses
 from vrcaps.tools.reconstruction.fusion.fuse import FuseSettings, fuse
 from vrcaps.tools.reconstruction.fusion.odometry import OdometrySettings, estimated_poses
 from vrcaps.training.settings import ComputeSettings

@@ -18,8 +18,7 @@ import numpy as np
 from benchmarks.common.scripts import options, table, write_section
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import UniformField, magnet_pose
-from vrcaps.sensors.hall import HallArray, hall_grid, perturb_calibration, read_hall
-from vrcaps.sensors.localize import localize
+from vrcaps.sensors.hall import HallArray, hall_grid, localize, perturb_calibration, read_hall
 
 EARTH = 50e-6
 GAIN, OFFSET = 0.005, 1e-6

@@ -9,8 +9,7 @@ from tests.support.small_envs import GUT
 from tests.support.tubes import bent_tube
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.geometry import transform_points
-from vrcaps.env.memory import Memory
-from vrcaps.env.worlds import Course
+from vrcaps.env.worlds import Course, Memory
 from vrcaps.organ.surface import interpolate
 from vrcaps.world.model import Model, posture_transform
 

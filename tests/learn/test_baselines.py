@@ -20,10 +20,13 @@ from vrcaps.formats.io import read_source  # noqa: E402
 from vrcaps.learn.baselines import class_baselines, mask_baselines  # noqa: E402
 from vrcaps.learn.card_results import results_of  # noqa: E402
 from vrcaps.learn.checkpoint import TrainedNetwork  # noqa: E402
-from vrcaps.learn.comparison import NETWORK, UNPERTURBED, compared, perturbed  # noqa: E402
 from vrcaps.learn.evaluation import (  # noqa: E402
+    NETWORK,
+    UNPERTURBED,
     Evaluation,
+    compared,
     evaluate,
+    perturbed,
     read_evaluation,
     worst_frames,
     write_evaluation,

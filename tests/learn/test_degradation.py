@@ -7,7 +7,7 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
 from tests.support.small_frames import small_sequence  # noqa: E402
 from vrcaps.core.errors import InputError  # noqa: E402
-from vrcaps.learn.degradation import Degradation, demosaiced  # noqa: E402
+from vrcaps.learn.perturbation import Degradation, demosaiced  # noqa: E402
 from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E402
 
 STRONG = Degradation(max_blur=1.0, mosaic=True, max_noise=10.0, min_jpeg=40)

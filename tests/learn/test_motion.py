@@ -16,8 +16,7 @@ from vrcaps.camera.lens import LensEquidistant  # noqa: E402
 from vrcaps.core.errors import InputError  # noqa: E402
 from vrcaps.core.geometry import transform_from  # noqa: E402
 from vrcaps.learn.checkpoint import TrainedNetwork, write_weights  # noqa: E402
-from vrcaps.learn.comparison import compared_sequences  # noqa: E402
-from vrcaps.learn.dead_features import dead_features, require_alive  # noqa: E402
+from vrcaps.learn.evaluation import compared_sequences  # noqa: E402
 from vrcaps.learn.initialize import initialized_network  # noqa: E402
 from vrcaps.learn.letterbox import Letterbox  # noqa: E402
 from vrcaps.learn.motion_errors import aligned_rmse, motion_baselines, motion_errors  # noqa: E402
@@ -26,6 +25,7 @@ from vrcaps.learn.samples import batch_of, samples_of  # noqa: E402
 from vrcaps.learn.tasks.classification import ClassificationTask  # noqa: E402
 from vrcaps.learn.tasks.depth import DepthTask  # noqa: E402
 from vrcaps.learn.tasks.sfm import SfmTask  # noqa: E402
+from vrcaps.learn.training import dead_features, require_alive  # noqa: E402
 from vrcaps.metrics.trajectory import absolute_trajectory_error  # noqa: E402
 
 

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from vrcaps.recording.frame_writer import FrameWriter
+from vrcaps.recording.frame_files import FrameWriter
 
 
 def test_what_follows_waits_for_all_files_before_it() -> None:

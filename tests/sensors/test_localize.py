@@ -10,8 +10,7 @@ import pytest
 from vrcaps.core.errors import InputError
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import Cylinder, Dipole, UniformField, magnet_pose
-from vrcaps.sensors.hall import hall_grid, read_hall
-from vrcaps.sensors.localize import localize
+from vrcaps.sensors.hall import hall_grid, localize, read_hall
 
 ARRAY = hall_grid(0.35, 6)
 PERFECT = replace(ARRAY, noise=0.0, resolution=0.0)

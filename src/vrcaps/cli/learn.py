@@ -203,8 +203,7 @@ class _Evaluate:
         from vrcaps.core.files import file_sha256
         from vrcaps.formats.io import read_sources
         from vrcaps.learn.checkpoint import read_weights
-        from vrcaps.learn.comparison import main_metric, perturbed
-        from vrcaps.learn.evaluation import Evaluation, evaluate
+        from vrcaps.learn.evaluation import Evaluation, evaluate, main_metric, perturbed
         from vrcaps.learn.samples import samples_of
         from vrcaps.training.settings import available_device
 

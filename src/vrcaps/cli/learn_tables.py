@@ -35,7 +35,7 @@ def print_evaluation(
     sequences: Sequence[FrameSequence],
 ) -> tuple[Table, str]:
     """Compare a network with baselines, print, and return the table and the resampled groups."""
-    from vrcaps.learn.comparison import compared, compared_sequences
+    from vrcaps.learn.evaluation import compared, compared_sequences
 
     table, groups = compared(trained.task, result)
     print_comparison(table, result.metrics, f"{len(result.samples)} frames", groups)

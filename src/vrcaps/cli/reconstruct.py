@@ -118,7 +118,7 @@ class Reconstruct:
 
     def _write(self, sequence: FrameSequence, out: Path) -> None:
         """Reconstruct and compare into a folder, which is renamed to `self.out` afterwards."""
-        from vrcaps.tools.reconstruction.comparison import compare, write_comparison, write_ply
+        from vrcaps.tools.reconstruction.estimates import compare, write_comparison, write_ply
 
         make = self._fused if self.method == "fusion" else self._stitched
         mesh, color = make(sequence, out)

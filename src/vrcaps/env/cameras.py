@@ -13,9 +13,8 @@ from vrcaps.camera.derive import scaled_lens
 from vrcaps.camera_pipeline.effect.base import CameraEffect
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, PipelineState
-from vrcaps.env.memory import Memory
 from vrcaps.env.randomization import Randomization
-from vrcaps.env.worlds import EnvWorlds
+from vrcaps.env.worlds import EnvWorlds, Memory
 from vrcaps.motion.motion import Step
 from vrcaps.render.batch import BATCH_CHANNELS, render_batch, renders_batches
 from vrcaps.render.channels import CHANNELS, Frame

@@ -12,13 +12,12 @@ from vrcaps import __version__
 from vrcaps.core.errors import InputError, reading, require
 from vrcaps.env.cameras import CameraImages
 from vrcaps.env.coverage import Coverage
-from vrcaps.env.memory import Memory
 from vrcaps.env.parts import EnvView
 from vrcaps.env.patients import Patients
 from vrcaps.env.randomization import FACTORS, varied_device, varied_tissue
 from vrcaps.env.settings import EnvSettings
 from vrcaps.env.snapshot import EnvSnapshot, WorldSnapshot, fingerprint
-from vrcaps.env.worlds import EnvWorlds
+from vrcaps.env.worlds import EnvWorlds, Memory
 from vrcaps.world.control import Control
 from vrcaps.world.model import State
 from vrcaps.world.world import World

@@ -14,8 +14,8 @@ from vrcaps.core.errors import InputError
 from vrcaps.env.observations.image import ImageObservation
 
 if TYPE_CHECKING:
-    from vrcaps.env.memory import Memory
     from vrcaps.env.parts import Observation
+    from vrcaps.env.worlds import Memory
 
 _MAX_DELAY = 64
 _KEY = "transmission/{}"

@@ -18,8 +18,14 @@ from vrcaps.camera_pipeline.capsule_cameras import CAPTURED, CapsuleCameras
 from vrcaps.core.errors import StorageError
 from vrcaps.core.files import remove_stale, sync_folder, write_bytes, write_json
 from vrcaps.recording.episode import Episode, read_episode
-from vrcaps.recording.frame_files import file_vertices, stored_wall, wall_path, write_images
-from vrcaps.recording.frame_writer import Background, FrameWriter
+from vrcaps.recording.frame_files import (
+    Background,
+    FrameWriter,
+    file_vertices,
+    stored_wall,
+    wall_path,
+    write_images,
+)
 from vrcaps.recording.layout import (
     COMPLETE,
     EPISODE_JSON,

@@ -14,13 +14,12 @@ from vrcaps.core.geometry import rotate_vectors, transform_points
 from vrcaps.core.rng import stream
 from vrcaps.magnet.field import field as flux_density
 from vrcaps.magnet.sources import Dipole, Source, UniformField, magnet_pose
-from vrcaps.sensors.hall import perturb_calibration, read_hall
+from vrcaps.sensors.hall import localize, perturb_calibration, read_hall
 from vrcaps.sensors.imu import (
     CapsuleKinematics,
     read_imu,
     read_magnetometer,
 )
-from vrcaps.sensors.localize import localize
 from vrcaps.sensors.sensors import HallPad, Sensors, hall_array
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Image channels: one declaration per channel, used everywhere.
+"""Image channels: one declaration per channel, used everywhere, and the arrays of the core.
 
 A field of `Frame` declares a channel: its type and, in `channel(...)`, its meaning, requirements,
 storage and display. The renderer, recordings, previews, checks and the tables in docs/ read these
@@ -7,18 +7,23 @@ declarations. To add a channel, see docs/extending.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import UM
 from vrcaps.render.encoding import Encoding, distance, fixed_point, flow, index, numbers
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, UInt8, UInt16
+    from numpy.typing import NDArray
+
+    from vrcaps.camera.camera import Camera
+    from vrcaps.world.model import State
 
 Stage = Literal["core", "motion", "dome"]
 """Stage that computes a channel: the compiled core (one pass), the comparison of neighboring
@@ -289,3 +294,51 @@ def invalid_text(channel: Channel) -> str:
 def _length(scale: float) -> str:
     """Format a step [m] in a readable unit."""
     return f"{scale * 1e3:g} mm" if scale >= 1e-4 else f"{scale * 1e6:g} µm"
+
+
+RADIANCE_PLANAR = "radiance_planar"
+"""Name of the core's array of radiance by color, with a margin."""
+
+
+def check_channels(channels: Sequence[str], following: State | None, earlier: State | None) -> None:
+    """Check that channels exist and have the states that they need.
+
+    Raises:
+        UnknownNameError: If there is no such channel.
+        InputError: If a channel needs a state that was not given.
+    """
+    given = {"next": following, "previous": earlier}
+    for name in channels:
+        if name not in CHANNELS:
+            raise UnknownNameError("channel", name, CHANNELS)
+        for neighbor in CHANNELS[name].needs:
+            if given[neighbor] is None:
+                raise InputError(
+                    f"Channel {name!r} needs the {neighbor} state. Give state_{neighbor}."
+                )
+
+
+def needs(channels: Sequence[str]) -> set[str]:
+    """Neighboring states that channels need."""
+    return {neighbor for name in channels for neighbor in CHANNELS[name].needs}
+
+
+def layout(name: str, camera: Camera) -> tuple[tuple[int, ...], np.dtype]:
+    """Shape and dtype of an array that the core fills."""
+    if name == "weights":  # of the triangle's corners at the material point of each pixel
+        return (camera.height, camera.width, 2), np.dtype(np.float32)
+    return CHANNELS[name].shape(camera.height, camera.width), np.dtype(CHANNELS[name].dtype)
+
+
+def is_light(name: str) -> bool:
+    """Check whether an array holds light, which gets indirect light and supersampling."""
+    return name == RADIANCE_PLANAR or (name in CHANNELS and CHANNELS[name].is_light)
+
+
+def fill_empty(arrays: dict[str, NDArray[Any]]) -> None:
+    """Fill channels of lumen contents for an empty lumen."""
+    for name, array in arrays.items():
+        if name in CHANNELS and (value := CHANNELS[name].if_empty) is not None:
+            array.fill(value)
+    if "sparse_refraction" in arrays:
+        arrays["sparse_refraction"].fill(CHANNELS["refraction_label"].if_empty)

@@ -12,15 +12,16 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.camera.camera import Camera, camera_rays
 from vrcaps.lumen.lumen_contents import LumenContents
-from vrcaps.render.buffers import (
+from vrcaps.render.channels import (
+    CHANNELS,
     RADIANCE_PLANAR,
+    Frame,
     check_channels,
     fill_empty,
     is_light,
     layout,
     needs,
 )
-from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.render.flow import SurfacePoints, flow, visibility
 from vrcaps.render.imaging import make_imaging
 from vrcaps.render.immersion import Immersion

@@ -1,5 +1,7 @@
 from .hall import HallArray as HallArray
+from .hall import PoseEstimate as PoseEstimate
 from .hall import hall_grid as hall_grid
+from .hall import localize as localize
 from .hall import perturb_calibration as perturb_calibration
 from .hall import read_hall as read_hall
 from .imu import CapsuleKinematics as CapsuleKinematics
@@ -7,8 +9,6 @@ from .imu import Imu as Imu
 from .imu import Magnetometer as Magnetometer
 from .imu import read_imu as read_imu
 from .imu import read_magnetometer as read_magnetometer
-from .localize import PoseEstimate as PoseEstimate
-from .localize import localize as localize
 from .sensors import EARTH_FIELD as EARTH_FIELD
 from .sensors import HallPad as HallPad
 from .sensors import Sensors as Sensors

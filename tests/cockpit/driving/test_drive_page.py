@@ -13,10 +13,9 @@ import pytest
 
 from vrcaps.actuation.arm.arm import read_arm
 from vrcaps.cockpit import messages
-from vrcaps.cockpit.driving.drive_commands import drive_handlers
+from vrcaps.cockpit.driving.drive_commands import EpisodeRecording, drive_handlers
 from vrcaps.cockpit.driving.drive_page import DrivePage
 from vrcaps.cockpit.driving.drive_setup import limit_text, lost_text
-from vrcaps.cockpit.driving.episode_recording import EpisodeRecording
 from vrcaps.cockpit.driving.new_drive import next_scenario
 from vrcaps.cockpit.driving.readings import QUANTITIES, Readings
 from vrcaps.cockpit.driving.wall_map import _segments

@@ -9,8 +9,8 @@ from tests.support.fem_shapes import bumpy, straight_tube
 from vrcaps.core.errors import InputError
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.fem.coarse import coarsen, low_pass
-from vrcaps.tissue.fem.embedding import embed
 from vrcaps.tissue.fem.layer import extrude, integration_points
+from vrcaps.tissue.fem.wall import embed
 
 
 def test_layer_of_a_tube_has_its_volume(tube: OrganSurface) -> None:

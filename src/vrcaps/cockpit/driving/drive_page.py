@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.cockpit.driving.drive_commands import DriveParts, drive_handlers
+from vrcaps.cockpit.driving.drive_commands import DriveParts, EpisodeRecording, drive_handlers
 from vrcaps.cockpit.driving.drive_setup import drive_setup, limit_text, lost_text
-from vrcaps.cockpit.driving.episode_recording import EpisodeRecording
 from vrcaps.cockpit.driving.readings import Readings
 from vrcaps.cockpit.driving.wall_map import WallMap
 from vrcaps.cockpit.messages import Command, NewDrive, Steer

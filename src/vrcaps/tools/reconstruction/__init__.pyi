@@ -1,12 +1,12 @@
-from .comparison import Comparison as Comparison
-from .comparison import compare as compare
-from .comparison import write_comparison as write_comparison
+from .estimates import Comparison as Comparison
 from .estimates import aligned as aligned
+from .estimates import compare as compare
 from .estimates import read_depth as read_depth
 from .estimates import read_poses as read_poses
 from .estimates import with_depth as with_depth
 from .estimates import with_network_depth as with_network_depth
 from .estimates import with_poses as with_poses
+from .estimates import write_comparison as write_comparison
 from .fusion.fuse import FuseSettings as FuseSettings
 from .fusion.fuse import fuse as fuse
 from .fusion.odometry import Odometry as Odometry

@@ -14,8 +14,14 @@ from vrcaps.mesh.mesh import Mesh
 from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.render.channels import CHANNELS
-from vrcaps.tools.reconstruction.comparison import compare, write_comparison
-from vrcaps.tools.reconstruction.estimates import read_depth, read_poses, with_depth, with_poses
+from vrcaps.tools.reconstruction.estimates import (
+    compare,
+    read_depth,
+    read_poses,
+    with_depth,
+    with_poses,
+    write_comparison,
+)
 from vrcaps.tools.reconstruction.fusion.fuse import FuseSettings, Volume, fuse
 
 SIDE, RADIUS = 64, 0.02

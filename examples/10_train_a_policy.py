@@ -19,7 +19,7 @@ import vrcaps
 from vrcaps.env import ForcePenalty, LogGain
 from vrcaps.policy import Score, TrainingSettings, read_policy, train
 from vrcaps.policy.training import BEST, ci, default
-from vrcaps.training.folder import Progress
+from vrcaps.training import Progress
 
 
 def main(out: Path, preset: TrainingSettings, actions: int) -> None:

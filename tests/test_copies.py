@@ -16,7 +16,7 @@ from vrcaps.camera_pipeline.pipeline import CameraPipeline
 from vrcaps.capsule.device_file import read_device
 from vrcaps.env.cameras import resized_camera
 from vrcaps.env.env import CapsuleEnv
-from vrcaps.env.observations.image import ImageObservation
+from vrcaps.env.observations import ImageObservation
 from vrcaps.env.parallel_env import CapsuleParallelEnv
 from vrcaps.env.randomization import Start
 from vrcaps.env.settings import EnvSettings

@@ -23,7 +23,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.files import file_sha256, files_in
 from vrcaps.mucosa.texture import MucosaTexture, write_texture
 from vrcaps.scenario.scenario import SOURCE_ORGAN
-from vrcaps.training.folder import begin_training
+from vrcaps.training import begin_training
 
 pytestmark = [
     pytest.mark.slow,

@@ -43,7 +43,7 @@ from vrcaps.learn.model_card import task_values
 from vrcaps.learn.samples import Samples
 from vrcaps.learn.task import Task as NetworkTask
 from vrcaps.learn.training import WEIGHTS, train
-from vrcaps.training.settings import exact_torch
+from vrcaps.training import exact_torch
 
 WITHOUT_LEARNING = ("constant", "mean", "light")
 ONE_NETWORK = (*WITHOUT_LEARNING, PUBLISHED)

@@ -14,7 +14,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.learn.settings import SCRATCH, TrainSettings
 from vrcaps.learn.task import Task as NetworkTask
 from vrcaps.recording.frame_sequence import FrameSequence
-from vrcaps.training.settings import ComputeSettings
+from vrcaps.training import ComputeSettings
 
 
 @dataclass(frozen=True)

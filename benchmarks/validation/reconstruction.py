@@ -37,7 +37,7 @@ from vrcaps.scenario.scenario import OrganGenerated, Scenario
 from vrcaps.tools.reconstruction.estimates import aligned, compare, with_network_depth, with_poses
 from vrcaps.tools.reconstruction.fusion.fuse import FuseSettings, fuse
 from vrcaps.tools.reconstruction.fusion.odometry import OdometrySettings, estimated_poses
-from vrcaps.training.settings import ComputeSettings
+from vrcaps.training import ComputeSettings
 
 RUNS = {
     "stomach": FlyThrough(whole=True),

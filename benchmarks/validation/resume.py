@@ -21,7 +21,7 @@ from benchmarks.common.scripts import ROOT, options, table, write_section
 from vrcaps.core.files import file_sha256
 from vrcaps.policy.ppo import PpoSettings
 from vrcaps.policy.training import BEST, POLICY, TrainingSettings, train
-from vrcaps.training.folder import PROGRESS
+from vrcaps.training import PROGRESS
 
 SEED = 7
 LEARNER = PpoSettings(

@@ -10,7 +10,7 @@ from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.core.errors import InputError
 from vrcaps.env.actuation import Wrench
 from vrcaps.env.env import CapsuleEnv
-from vrcaps.env.observations.image import ImageObservation
+from vrcaps.env.observations import ImageObservation
 from vrcaps.env.randomization import Randomization, varied_tissue
 from vrcaps.tissue.contact_laws import Drag
 from vrcaps.tissue.fem.deformation import FemDeformation

@@ -27,7 +27,7 @@ from vrcaps.env import (
     Task,
 )
 from vrcaps.env.settings import env_settings
-from vrcaps.training.settings import changed_settings
+from vrcaps.training import changed_settings
 from vrcaps.world.control import Control
 
 

@@ -10,7 +10,7 @@ from tests.support.tubes import textured
 from vrcaps.core.errors import InputError
 from vrcaps.env.actuation import Wrench
 from vrcaps.env.env import CapsuleEnv
-from vrcaps.env.observations.image import ImageObservation
+from vrcaps.env.observations import ImageObservation
 from vrcaps.env.randomization import Start
 from vrcaps.env.rewards import AreaGain, ProgressGain, TotalVariation
 from vrcaps.env.settings import EnvSettings

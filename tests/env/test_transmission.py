@@ -9,10 +9,8 @@ from tests.support.small_envs import small_settings
 from vrcaps.core.errors import InputError
 from vrcaps.env.actuation import MagnetActuation, Wrench
 from vrcaps.env.env import CapsuleEnv
-from vrcaps.env.observations.coverage_map import MapObservation
-from vrcaps.env.observations.image import ImageObservation
-from vrcaps.env.observations.landmarks import LandmarksObservation
-from vrcaps.env.observations.state import StateObservation
+from vrcaps.env.landmarks import LandmarksObservation
+from vrcaps.env.observations import ImageObservation, MapObservation, StateObservation
 from vrcaps.env.tasks import NavigateTask
 from vrcaps.env.transmission import Transmission, _quantized
 from vrcaps.env.vector_env import CapsuleVectorEnv

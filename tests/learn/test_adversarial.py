@@ -27,7 +27,7 @@ from vrcaps.learn.settings import TrainSettings, settings_of  # noqa: E402
 from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E402
 from vrcaps.learn.training import BEST, train  # noqa: E402
 from vrcaps.recording.frame_sequence import FrameSequence  # noqa: E402
-from vrcaps.training.settings import ComputeSettings  # noqa: E402
+from vrcaps.training import ComputeSettings  # noqa: E402
 
 SMALL = SuperResolutionTask(
     2, 32, generator="attention-unet", halvings=2, features=16, adversarial=0.01

@@ -38,7 +38,7 @@ from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E40
 from vrcaps.learn.training import BEST, train  # noqa: E402
 from vrcaps.recording.frame_files import write_images  # noqa: E402
 from vrcaps.scenario.settings import parse_change  # noqa: E402
-from vrcaps.training.settings import ComputeSettings  # noqa: E402
+from vrcaps.training import ComputeSettings  # noqa: E402
 
 TASK = "super-resolution"
 LEARNER = SuperResolutionTask(2, size=32, blocks=1, features=8)

@@ -19,7 +19,7 @@ from vrcaps.learn.tasks.segmentation import SegmentationTask  # noqa: E402
 from vrcaps.learn.tasks.sfm import SfmTask  # noqa: E402
 from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E402
 from vrcaps.learn.training import BEST, train  # noqa: E402
-from vrcaps.training.settings import ComputeSettings  # noqa: E402
+from vrcaps.training import ComputeSettings  # noqa: E402
 
 LEARNER = SuperResolutionTask(2, size=32, blocks=1, features=8)
 SETTINGS = TrainSettings(LEARNER, start="scratch", batch=2, steps=4, evaluate_every=2)

@@ -12,7 +12,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.learn import TASKS, Backbone, predict, read_weights, samples_of, settings_of, train
 from vrcaps.learn.settings import read_settings
 from vrcaps.learn.training import BEST
-from vrcaps.training.settings import ComputeSettings
+from vrcaps.training import ComputeSettings
 
 PAGE = Path(__file__).parents[2] / "docs" / "concepts" / "learning.md"
 

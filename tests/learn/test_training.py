@@ -20,7 +20,7 @@ from vrcaps.learn.tasks.depth import DepthTask, depth_loss, depth_of, light_cue 
 from vrcaps.learn.tasks.segmentation import SegmentationTask, segmentation_loss  # noqa: E402
 from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E402
 from vrcaps.learn.training import BEST, train  # noqa: E402
-from vrcaps.training.settings import ComputeSettings  # noqa: E402
+from vrcaps.training import ComputeSettings  # noqa: E402
 
 DEPTH = DepthTask(backbone=Backbone(32))
 CPU = ComputeSettings("cpu")

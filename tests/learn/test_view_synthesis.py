@@ -31,7 +31,7 @@ from vrcaps.learn.settings import TrainSettings  # noqa: E402
 from vrcaps.learn.tasks.depth import MIDDLE  # noqa: E402
 from vrcaps.learn.tasks.sfm import SfmTask  # noqa: E402
 from vrcaps.learn.training import BEST, train  # noqa: E402
-from vrcaps.training.settings import ComputeSettings  # noqa: E402
+from vrcaps.training import ComputeSettings  # noqa: E402
 
 SIDE, RADIUS = 32, 0.03
 PINHOLE = LensPinhole(fx=22.0, fy=23.0, cx=15.2, cy=15.9, k1=-0.05, k2=0.01, p1=1e-3, p2=-2e-3)

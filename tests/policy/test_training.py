@@ -24,7 +24,7 @@ from vrcaps.policy.mlp_policy import MlpPolicy, read_mlp_policy
 from vrcaps.policy.policy import Policy
 from vrcaps.policy.ppo import Ppo, PpoSettings
 from vrcaps.policy.training import TrainingSettings, train
-from vrcaps.training.folder import Progress
+from vrcaps.training import Progress
 
 LEARNER = PpoSettings(
     num_envs=2, num_actions=24, updates=2, hidden=(8, 8), batch=4, epochs=2, evaluate_every=2

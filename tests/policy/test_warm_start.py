@@ -17,7 +17,7 @@ from vrcaps.policy import presets
 from vrcaps.policy.mlp_policy import read_mlp_policy
 from vrcaps.policy.ppo import Ppo
 from vrcaps.policy.training import TrainingSettings, start_file, train, warm_start
-from vrcaps.training.folder import _with_grown
+from vrcaps.training import _with_grown
 
 
 def settings(actions: int = 8, **learner) -> TrainingSettings:

@@ -20,7 +20,7 @@ from vrcaps.learn.registry import TASKS
 if TYPE_CHECKING:
     from vrcaps.learn.samples import Samples
     from vrcaps.recording.frame_sequence import FrameSequence
-    from vrcaps.training.folder import Progress
+    from vrcaps.training import Progress
 
 _MAX_LISTED = 20
 """Maximum number of near-duplicates to list."""
@@ -83,7 +83,7 @@ class _Train:
         from vrcaps.learn.settings import settings_of
         from vrcaps.learn.training import BEST, train
         from vrcaps.scenario.settings import parse_change
-        from vrcaps.training.settings import ComputeSettings
+        from vrcaps.training import ComputeSettings
 
         task = part_of(self)
         changes = map(parse_change, self.set)
@@ -205,7 +205,7 @@ class _Evaluate:
         from vrcaps.learn.checkpoint import read_weights
         from vrcaps.learn.evaluation import Evaluation, evaluate, main_metric, perturbed
         from vrcaps.learn.samples import samples_of
-        from vrcaps.training.settings import available_device
+        from vrcaps.training import available_device
 
         trained = read_weights(weights, task=self.task, device=available_device(self.device))
         warn_if_constant(trained)
@@ -268,7 +268,7 @@ class _Predict:
         from vrcaps.core.files import require_new_folder
         from vrcaps.learn.checkpoint import read_weights
         from vrcaps.learn.prediction import images_of, predict
-        from vrcaps.training.settings import available_device
+        from vrcaps.training import available_device
 
         require_new_folder(self.out)
         field = None if self.fov is None else radians(self.fov)

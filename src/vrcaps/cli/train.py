@@ -14,7 +14,7 @@ from vrcaps.cli.parts import with_env_parts
 
 if TYPE_CHECKING:
     from vrcaps.policy.training import TrainingSettings
-    from vrcaps.training.folder import Progress
+    from vrcaps.training import Progress
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class Coverage:
         """
         from vrcaps.policy.training import PRESETS
         from vrcaps.scenario.settings import parse_change
-        from vrcaps.training.settings import changed_settings
+        from vrcaps.training import changed_settings
 
         settings = replace(PRESETS[self.preset](), seed=self.seed)
         if self.organ:

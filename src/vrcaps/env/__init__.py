@@ -18,10 +18,10 @@ from vrcaps.env.actuation import ArmActuation as ArmActuation
 from vrcaps.env.actuation import MagnetActuation as MagnetActuation
 from vrcaps.env.actuation import Wrench as Wrench
 from vrcaps.env.env import CapsuleEnv as CapsuleEnv
-from vrcaps.env.observations.coverage_map import MapObservation as MapObservation
-from vrcaps.env.observations.image import ImageObservation as ImageObservation
-from vrcaps.env.observations.landmarks import LandmarksObservation as LandmarksObservation
-from vrcaps.env.observations.state import StateObservation as StateObservation
+from vrcaps.env.landmarks import LandmarksObservation as LandmarksObservation
+from vrcaps.env.observations import ImageObservation as ImageObservation
+from vrcaps.env.observations import MapObservation as MapObservation
+from vrcaps.env.observations import StateObservation as StateObservation
 from vrcaps.env.parts import ACTUATIONS as ACTUATIONS
 from vrcaps.env.parts import OBSERVATIONS as OBSERVATIONS
 from vrcaps.env.parts import REWARDS as REWARDS

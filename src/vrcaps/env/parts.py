@@ -296,13 +296,13 @@ REWARDS: Registry[Reward] = Registry(
 OBSERVATIONS: Registry[Observation] = Registry(
     "observation",
     {
-        "state": ("vrcaps.env.observations.state:StateObservation", "pose, velocity, contact"),
+        "state": ("vrcaps.env.observations:StateObservation", "pose, velocity, contact"),
         "landmarks": (
-            "vrcaps.env.observations.landmarks:LandmarksObservation",
+            "vrcaps.env.landmarks:LandmarksObservation",
             "navigation features",
         ),
-        "map": ("vrcaps.env.observations.coverage_map:MapObservation", "map of the seen wall"),
-        "image": ("vrcaps.env.observations.image:ImageObservation", "image of a camera"),
+        "map": ("vrcaps.env.observations:MapObservation", "map of the seen wall"),
+        "image": ("vrcaps.env.observations:ImageObservation", "image of a camera"),
     },
 )
 """Observations by name."""

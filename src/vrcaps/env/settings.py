@@ -14,7 +14,7 @@ from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.core.registry import Registry
 from vrcaps.env.actuation import Wrench
-from vrcaps.env.observations.state import StateObservation
+from vrcaps.env.observations import StateObservation
 from vrcaps.env.parts import (
     ACTUATIONS,
     OBSERVATIONS,

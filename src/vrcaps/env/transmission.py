@@ -11,7 +11,7 @@ import numpy as np
 from vrcaps.config.fields import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError
-from vrcaps.env.observations.image import ImageObservation
+from vrcaps.env.observations import ImageObservation
 
 if TYPE_CHECKING:
     from vrcaps.env.parts import Observation

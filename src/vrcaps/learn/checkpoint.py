@@ -21,7 +21,7 @@ from vrcaps.core.errors import InputError, MissingExtraError, VrcapsError, impor
 from vrcaps.core.files import atomic_write
 from vrcaps.learn.registry import FORMER_TASKS, TASKS, current_settings
 from vrcaps.learn.task import INPUTS, Batch, Task
-from vrcaps.training.settings import exact_torch
+from vrcaps.training import exact_torch
 
 _FORMAT, _KEY = "vrcaps-weights/1", "vrcaps"
 _OUTPUT = "output"

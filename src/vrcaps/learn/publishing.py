@@ -25,7 +25,7 @@ from vrcaps.learn.responses import require_responses
 from vrcaps.learn.settings import TrainSettings, read_settings
 from vrcaps.learn.task import Task
 from vrcaps.learn.training import BEST
-from vrcaps.training.folder import PROGRESS, SETTINGS
+from vrcaps.training import PROGRESS, SETTINGS
 
 MAX_BYTES = 25 * 10**6
 """Maximum size of a published file."""

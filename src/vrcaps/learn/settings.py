@@ -10,7 +10,7 @@ from vrcaps.config.convert import from_plain
 from vrcaps.config.fields import Range, check_fields
 from vrcaps.learn.registry import FORMER_TASKS, TASKS, current_settings
 from vrcaps.learn.task import Task
-from vrcaps.training.settings import changed_settings, preset_named
+from vrcaps.training import changed_settings, preset_named
 
 SCRATCH, IMAGENET = "scratch", "imagenet"
 

@@ -25,8 +25,16 @@ from vrcaps.learn.networks import freeze_batch_norm
 from vrcaps.learn.samples import Samples, batch_of
 from vrcaps.learn.settings import TrainSettings, current_training
 from vrcaps.learn.task import Batch, Sample
-from vrcaps.training.folder import PROGRESS, Progress, begin_training, restoring, run_training
-from vrcaps.training.settings import ComputeSettings, available_device, exact_torch
+from vrcaps.training import (
+    PROGRESS,
+    ComputeSettings,
+    Progress,
+    available_device,
+    begin_training,
+    exact_torch,
+    restoring,
+    run_training,
+)
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter

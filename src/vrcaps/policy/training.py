@@ -18,8 +18,8 @@ from vrcaps.core import rng
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import file_sha256, read_arrays, write_arrays, write_csv
 from vrcaps.env.actuation import Wrench
-from vrcaps.env.observations.landmarks import LandmarksObservation
-from vrcaps.env.observations.state import StateObservation
+from vrcaps.env.landmarks import LandmarksObservation
+from vrcaps.env.observations import StateObservation
 from vrcaps.env.patients import check_names
 from vrcaps.env.randomization import Start
 from vrcaps.env.rewards import LogGain, PaperGain
@@ -29,8 +29,7 @@ from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.policy.mlp_policy import read_mlp_policy, write_mlp_policy
 from vrcaps.policy.ppo import Ppo, PpoSettings, require_learner
 from vrcaps.scenario.scenario import OrganGenerated
-from vrcaps.training.folder import PROGRESS, Progress, begin_training, restoring, run_training
-from vrcaps.training.settings import exact_torch
+from vrcaps.training import PROGRESS, Progress, begin_training, exact_torch, restoring, run_training
 
 if TYPE_CHECKING:
     from vrcaps.policy.mlp_policy import MlpPolicy

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.small_envs import GUT, SHORT_GUT, simulation_of
-from vrcaps.env.observations.coverage_map import MapObservation
+from vrcaps.env.observations import MapObservation
 from vrcaps.env.randomization import Start
 
 _ROWS, _COLUMNS = 18, 12

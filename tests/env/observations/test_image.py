@@ -8,7 +8,7 @@ from tests.support.tubes import textured
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.env.cameras import resized_camera
 from vrcaps.env.env import CapsuleEnv
-from vrcaps.env.observations.image import LIMITS, ImageObservation
+from vrcaps.env.observations import LIMITS, ImageObservation
 from vrcaps.env.randomization import Start
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.render.renderer import Renderer

@@ -6,7 +6,7 @@ import pytest
 from tests.support.small_envs import GUT, small_env, small_settings
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.env.env import CapsuleEnv
-from vrcaps.env.observations.state import StateObservation
+from vrcaps.env.observations import StateObservation
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.sensors.tracking import CapsuleTracker, TrackingSensors
 from vrcaps.world.model import Model

@@ -7,7 +7,7 @@ from tests.support.small_envs import GUT, SHORT_GUT, simulation_of
 from vrcaps import _core
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import transform_from, wall_of
-from vrcaps.env.observations.landmarks import RAYS, LandmarksObservation
+from vrcaps.env.landmarks import RAYS, LandmarksObservation
 from vrcaps.env.randomization import Start
 from vrcaps.env.tasks import NavigateTask
 

@@ -1,1 +1,0 @@
-"""Observations of an agent, one file each."""

@@ -1,1 +1,0 @@
-"""Training runs: their folders and the threads that they use."""

@@ -98,8 +98,23 @@ class _Shape:
         return np.asarray(self.T_world_magnet, float)
 
 
+class _RoundShape(_Shape):
+    """Properties of a cylinder with or without a hole."""
+
+    diameter: float
+    length: float
+    magnetization: Literal["axial", "diametric"]
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Diameter and length of the smallest cylinder about the moment that holds it [m]."""
+        if self.magnetization == "axial":
+            return self.diameter, self.length
+        return math.hypot(self.diameter, self.length), self.diameter
+
+
 @dataclass(frozen=True)
-class Cylinder(_Shape):
+class Cylinder(_RoundShape):
     """Permanent magnet: a cylinder, magnetized along its axis or across it.
 
     Attributes:
@@ -125,11 +140,6 @@ class Cylinder(_Shape):
         """Volume [m³]."""
         return 0.25 * math.pi * self.diameter**2 * self.length
 
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """Diameter and length of the smallest cylinder about the moment that holds it [m]."""
-        return _bounds(self.diameter, self.length, self.magnetization)
-
     def add_to(self, core: FieldSources) -> int:
         """Add this source to the core's; return the number of core sources used."""
         radius = 0.5 * self.diameter
@@ -141,7 +151,7 @@ class Cylinder(_Shape):
 
 
 @dataclass(frozen=True)
-class Ring(_Shape):
+class Ring(_RoundShape):
     """Permanent magnet: a cylinder with a hole, magnetized along its axis or across it.
 
     Attributes:
@@ -174,11 +184,6 @@ class Ring(_Shape):
     def volume(self) -> float:
         """Volume [m³]."""
         return 0.25 * math.pi * (self.diameter**2 - self.hole_diameter**2) * self.length
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """Diameter and length of the smallest cylinder about the moment that holds it [m]."""
-        return _bounds(self.diameter, self.length, self.magnetization)
 
     def add_to(self, core: FieldSources) -> int:
         """Add this source to the core's; return the number of core sources used."""
@@ -264,12 +269,6 @@ class Sphere(_Shape):
 Magnet = Cylinder | Ring | Block | Sphere
 """Any permanent magnet."""
 SHAPES: tuple[type[Magnet], ...] = (Cylinder, Ring, Block, Sphere)
-
-
-def _bounds(diameter: float, length: float, magnetization: str) -> tuple[float, float]:
-    if magnetization == "axial":
-        return diameter, length
-    return math.hypot(diameter, length), diameter
 
 
 def _with_remanence(cls: type[Magnet]) -> Callable[[dict[str, Any]], dict[str, Any]]:

@@ -24,7 +24,7 @@ import trimesh
 
 import vrcaps
 from vrcaps.core.units import CM, MM
-from vrcaps.tissue.contact_laws import Drag
+from vrcaps.tissue.tissue import Drag
 
 
 def make_phantom(path: Path) -> None:

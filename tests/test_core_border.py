@@ -18,9 +18,9 @@ import pytest
 from tests.support.fem_shapes import straight_tube
 from tests.support.walls import floor, world_on
 from vrcaps import _core
-from vrcaps.tissue.contact_laws import WinklerFoundation
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.fem.wall import FemWall
+from vrcaps.tissue.tissue import WinklerFoundation
 
 STUBS = ast.parse((Path(_core.__file__).parent / "_core.pyi").read_text())
 SHAPES = [(), (0,), (1,), (3,), (7,), (0, 0), (0, 3), (1, 3), (2, 3), (3, 3), (4, 3), (3, 4)]

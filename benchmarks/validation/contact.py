@@ -25,9 +25,8 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
 from vrcaps.tissue.motility.motility import Motility
-from vrcaps.tissue.tissue import Tissue
+from vrcaps.tissue.tissue import Drag, SpringWall, Tissue, WinklerFoundation
 from vrcaps.world.control import Control
 from vrcaps.world.mechanics import SUBSTEP
 from vrcaps.world.model import Model, State, posture_transform

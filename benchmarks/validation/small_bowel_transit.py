@@ -24,9 +24,9 @@ from vrcaps.anatomy.small_bowel.parameters import SmallBowelParameters
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.units import CM, MM
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.tissue.contact_laws import Drag, WinklerFoundation
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.motility.muscle import Muscle
+from vrcaps.tissue.tissue import Drag, WinklerFoundation
 
 STEP = 0.25
 REST = 5.0

@@ -19,7 +19,7 @@ from playwright.sync_api import Page, sync_playwright
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.cli.cockpit import Cockpit as CockpitCommand
 from vrcaps.cockpit.cockpit import Cockpit, open_cockpit
-from vrcaps.cockpit.episodes.episode_page import open_episodes
+from vrcaps.cockpit.episode_page import open_episodes
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording.recorder import record
 from vrcaps.render.settings import RenderSettings

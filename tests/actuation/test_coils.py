@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.scenes import relative
 from tests.support.small_envs import GUT, small_settings
-from vrcaps.actuation.coils.coil_array import (
+from vrcaps.actuation.coil_array import (
     CoilArray,
     CoilState,
     Electromagnet,
@@ -21,7 +21,7 @@ from vrcaps.actuation.coils.coil_array import (
     read_coil_array,
     unit_wrenches,
 )
-from vrcaps.actuation.coils.coil_program import CoilSteering, Currents
+from vrcaps.actuation.coil_program import CoilSteering, Currents
 from vrcaps.actuation.steering_program import JoystickCommand, MagnetSteering
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, UnknownNameError

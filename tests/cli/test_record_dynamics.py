@@ -9,8 +9,8 @@ import pytest
 from vrcaps import cli
 from vrcaps.cli.record import Record
 from vrcaps.motion.dynamics import Dynamics
-from vrcaps.tissue.contact_laws import Drag
 from vrcaps.tissue.motility.motility import Propulsion
+from vrcaps.tissue.tissue import Drag
 from vrcaps.world.schedule import Insufflation, PostureChange, Wrench
 
 

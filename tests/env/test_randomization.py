@@ -12,9 +12,8 @@ from vrcaps.env.actuation import Wrench
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.observations import ImageObservation
 from vrcaps.env.randomization import Randomization, varied_tissue
-from vrcaps.tissue.contact_laws import Drag
 from vrcaps.tissue.fem.deformation import FemDeformation
-from vrcaps.tissue.tissue import Tissue
+from vrcaps.tissue.tissue import Drag, Tissue
 
 _RANGE = (0.5, 2.0)
 _VARIED = Randomization(_RANGE, _RANGE, _RANGE, (0.9, 1.1), _RANGE, (0.8, 1.2))

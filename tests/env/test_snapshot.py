@@ -14,7 +14,7 @@ from vrcaps.env.observations import ImageObservation
 from vrcaps.env.randomization import Start
 from vrcaps.env.rewards import AreaGain, ProgressGain, TotalVariation
 from vrcaps.env.settings import EnvSettings
-from vrcaps.env.snapshot import read_env_snapshot, write_env_snapshot
+from vrcaps.env.simulation import read_env_snapshot, write_env_snapshot
 from vrcaps.env.vector_env import CapsuleVectorEnv
 
 _GENTLE = Wrench(force=2e-3, torque=0.0)

@@ -17,10 +17,10 @@ from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.motion import Step
 from vrcaps.motion.rollout import Rollout
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.tissue.contact_laws import Drag, SpringWall
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.motility.migrating_complex import Front
 from vrcaps.tissue.motility.motility import Propulsion
+from vrcaps.tissue.tissue import Drag, SpringWall
 from vrcaps.world.model import Contact, Model, mean_contact, posture_transform
 from vrcaps.world.schedule import Flush, Insufflation, PostureChange, Wrench
 

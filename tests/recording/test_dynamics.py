@@ -26,7 +26,7 @@ from vrcaps.recording.recorder import record
 from vrcaps.recording.resume import Checkpoint, read_checkpoint, write_checkpoint
 from vrcaps.scenario.build import OrganSource, build
 from vrcaps.scenario.scenario import Scenario, read_scenario, scenario_from_plain, scenario_to_plain
-from vrcaps.tissue.contact_laws import Drag, WinklerFoundation
+from vrcaps.tissue.tissue import Drag, WinklerFoundation
 from vrcaps.world.schedule import Insufflation, PostureChange, Wrench
 
 MOTION = Dynamics(

@@ -10,8 +10,7 @@ import numpy as np
 
 from tests.support.cockpit_browser import free_port
 from vrcaps.cockpit import messages
-from vrcaps.cockpit.driving.drive_setup import CONTROLS, SPEEDS
-from vrcaps.cockpit.driving.readings import QUANTITIES
+from vrcaps.cockpit.driving.drive_setup import CONTROLS, QUANTITIES, SPEEDS
 from vrcaps.cockpit.page import FieldError, Page
 from vrcaps.cockpit.scene.nodes import CUTS
 from vrcaps.cockpit.scene.viewpoint import aim

@@ -7,7 +7,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.capsule.device import Body
 from vrcaps.core.units import MM
-from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
+from vrcaps.tissue.tissue import Drag, SpringWall, WinklerFoundation
 
 RADIUS = 5.5 * MM
 HALF_AXIS = 7.5 * MM

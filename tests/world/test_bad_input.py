@@ -15,9 +15,8 @@ from vrcaps.capsule.device import Body
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import MM
 from vrcaps.render.renderer import Renderer
-from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
 from vrcaps.tissue.motility.motility import Motility
-from vrcaps.tissue.tissue import Tissue
+from vrcaps.tissue.tissue import Drag, SpringWall, Tissue, WinklerFoundation
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model, State, posture_transform
 from vrcaps.world.snapshot import Snapshot, read_snapshot

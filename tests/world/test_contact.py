@@ -10,8 +10,7 @@ from tests.support.walls import HALF_AXIS, LINEAR, RADIUS, capsule, creased, flo
 from vrcaps.capsule.device import homogeneous_body
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.units import MM
-from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
-from vrcaps.tissue.tissue import Tissue
+from vrcaps.tissue.tissue import Drag, SpringWall, Tissue, WinklerFoundation
 
 DOWN = (0.0, 0.0, -9.81)
 FREE = (0.0,) * 6

@@ -7,7 +7,7 @@ import pytest
 from tests.support.walls import capsule, tube, world_on
 from vrcaps import _core
 from vrcaps.core.units import MM
-from vrcaps.tissue.contact_laws import Drag, WinklerFoundation
+from vrcaps.tissue.tissue import Drag, WinklerFoundation
 
 FREE, STILL = (0.0,) * 6, (0.0,) * 3
 SUBSTEPS = [5e-5, 2e-4, 1e-3]

@@ -9,7 +9,7 @@ from tests.support.walls import HALF_AXIS, LINEAR, LYING, RADIUS, capsule, world
 from vrcaps import _core
 from vrcaps.core.geometry import matrix_from_quaternion, transform_from, triangle_areas
 from vrcaps.core.units import MM
-from vrcaps.tissue.contact_laws import WinklerFoundation
+from vrcaps.tissue.tissue import WinklerFoundation
 from vrcaps.world.indentation import _divided, indentation
 
 

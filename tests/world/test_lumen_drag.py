@@ -9,8 +9,7 @@ from tests.support.walls import floor, world_on
 from vrcaps import _core
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
-from vrcaps.tissue.contact_laws import Drag
-from vrcaps.tissue.tissue import Tissue
+from vrcaps.tissue.tissue import Drag, Tissue
 from vrcaps.world.model import Model
 from vrcaps.world.world import World
 

@@ -22,8 +22,7 @@ from vrcaps.magnet.sources import (
     UniformField,
     magnet_pose,
 )
-from vrcaps.tissue.contact_laws import Drag
-from vrcaps.tissue.tissue import Tissue
+from vrcaps.tissue.tissue import Drag, Tissue
 from vrcaps.world.control import GRAVITY, Control
 from vrcaps.world.model import Model, State, posture_transform
 from vrcaps.world.world import World

@@ -15,11 +15,10 @@ from vrcaps.core.geometry import rotation_from_vector, transform_from
 from vrcaps.core.units import MM
 from vrcaps.lumen.contents import Contents
 from vrcaps.magnet.sources import Cylinder, UniformField
-from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.fem.wall import FemWall
 from vrcaps.tissue.motility.motility import Motility, Propulsion
-from vrcaps.tissue.tissue import Tissue
+from vrcaps.tissue.tissue import Drag, SpringWall, Tissue, WinklerFoundation
 from vrcaps.world.batch import WorldBatch
 from vrcaps.world.control import Control
 from vrcaps.world.mechanics import RELAXATION_TIME

@@ -8,7 +8,7 @@ import pytest
 from tests.support.walls import RADIUS, floor, world_on
 from vrcaps import _core
 from vrcaps.core.units import MM
-from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
+from vrcaps.tissue.tissue import Drag, SpringWall, WinklerFoundation
 
 SPRING = SpringWall()
 DOWN, FREE, STILL = (0.0, 0.0, -9.81), (0.0,) * 6, (0.0,) * 3

@@ -168,7 +168,7 @@ class View:
         """
         for episode in self.episodes:
             require_folder(episode, "an episode")
-        from vrcaps.cockpit.episodes.episode_page import open_episodes
+        from vrcaps.cockpit.episode_page import open_episodes
 
         with open_episodes(
             self.episodes,

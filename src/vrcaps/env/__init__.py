@@ -45,15 +45,15 @@ from vrcaps.env.rewards import TimePenalty as TimePenalty
 from vrcaps.env.rewards import TotalVariation as TotalVariation
 from vrcaps.env.settings import EnvSettings as EnvSettings
 from vrcaps.env.settings import env_settings as env_settings
-from vrcaps.env.snapshot import EnvSnapshot as EnvSnapshot
-from vrcaps.env.snapshot import read_env_snapshot as read_env_snapshot
-from vrcaps.env.snapshot import write_env_snapshot as write_env_snapshot
+from vrcaps.env.simulation import EnvSnapshot as EnvSnapshot
+from vrcaps.env.simulation import read_env_snapshot as read_env_snapshot
+from vrcaps.env.simulation import write_env_snapshot as write_env_snapshot
 from vrcaps.env.tasks import CoverageTask as CoverageTask
 from vrcaps.env.tasks import InspectTask as InspectTask
 from vrcaps.env.tasks import NavigateTask as NavigateTask
 from vrcaps.env.vector_env import CapsuleVectorEnv as CapsuleVectorEnv
 from vrcaps.lesion import Polyp as Polyp
-from vrcaps.tissue.contact_laws import Drag as Drag
+from vrcaps.tissue.tissue import Drag as Drag
 from vrcaps.tissue.tissue import Tissue as Tissue
 
 _register(gymnasium)

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
-from vrcaps.actuation.coils.coil_array import (
+from vrcaps.actuation.coil_array import (
     CoilArray,
     CoilState,
     advance_coils,
     coils_at_rest,
     read_coil_array,
 )
-from vrcaps.actuation.coils.coil_program import array_pose
+from vrcaps.actuation.coil_program import array_pose
 from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.units import CM
 from vrcaps.env.parts import Actuation, EnvView
@@ -41,7 +41,7 @@ class CoilActuation(Actuation):
     coil [°C]. Episodes start without currents, at the ambient temperature.
 
     Attributes:
-        coils: Name of the array, see `vrcaps.actuation.coils.coil_array.coil_array_names`, path of
+        coils: Name of the array, see `vrcaps.actuation.coil_array.coil_array_names`, path of
             its TOML file, or an array in memory.
         standoff: Gap between the array's surface and the organ's lowest point [m].
     """

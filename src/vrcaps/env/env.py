@@ -11,8 +11,7 @@ from vrcaps.core.errors import require
 from vrcaps.env.episode import Episode
 from vrcaps.env.parts import EnvView
 from vrcaps.env.settings import EnvSettings
-from vrcaps.env.simulation import restore_snapshot, take_snapshot
-from vrcaps.env.snapshot import EnvSnapshot
+from vrcaps.env.simulation import EnvSnapshot, restore_snapshot, take_snapshot
 
 
 class CapsuleEnv(gymnasium.Env):

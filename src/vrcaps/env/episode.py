@@ -13,8 +13,7 @@ from vrcaps.env.parts import EnvView
 from vrcaps.env.patients import Patients, check_names
 from vrcaps.env.rewards import total_reward
 from vrcaps.env.settings import EnvSettings
-from vrcaps.env.simulation import Simulation
-from vrcaps.env.snapshot import WorldSnapshot
+from vrcaps.env.simulation import Simulation, WorldSnapshot
 from vrcaps.env.transmission import Link
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from vrcaps.camera_pipeline.effects import Effects, parse_effects
 from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
 from vrcaps.motion.trajectory import start_pose
-from vrcaps.tissue.contact_laws import SpringWall
 from vrcaps.tissue.fem.deformation import FemDeformation
+from vrcaps.tissue.tissue import SpringWall
 from vrcaps.world.model import Model, State
 
 if TYPE_CHECKING:

@@ -16,8 +16,7 @@ from vrcaps.core.errors import InputError, require
 from vrcaps.env.episode import Episode, EpisodeStep
 from vrcaps.env.parts import EnvView
 from vrcaps.env.settings import EnvSettings
-from vrcaps.env.simulation import restore_snapshot, take_snapshot
-from vrcaps.env.snapshot import EnvSnapshot
+from vrcaps.env.simulation import EnvSnapshot, restore_snapshot, take_snapshot
 
 
 class CapsuleVectorEnv(gymnasium.vector.VectorEnv):

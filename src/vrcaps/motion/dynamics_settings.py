@@ -8,18 +8,17 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.actuation.coils.coil_program import CoilSteering, coil_column_names, coil_row
+from vrcaps.actuation.coil_program import CoilSteering, coil_column_names, coil_row
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.config.fields import FileRef, file_ref
 from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.core.geometry import quaternion_from_matrix
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.motion import MotionSettings
-from vrcaps.tissue.contact_laws import Drag, SpringWall, WinklerFoundation
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.motility.migrating_complex import Front
 from vrcaps.tissue.motility.motility import Motility, Propulsion
-from vrcaps.tissue.tissue import Tissue
+from vrcaps.tissue.tissue import Drag, SpringWall, Tissue, WinklerFoundation
 from vrcaps.world.mechanics import DYNAMICS, SUBSTEP, DynamicsKind
 from vrcaps.world.schedule import (
     Flush,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Float
 
-    from vrcaps.actuation.coils.coil_program import CoilStatus
+    from vrcaps.actuation.coil_program import CoilStatus
     from vrcaps.actuation.magnet_controller import ControllerStatus
     from vrcaps.magnet.sources import Source
     from vrcaps.sensors.pose_filter import PoseBelief

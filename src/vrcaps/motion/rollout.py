@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.actuation.coils.coil_program import CoilProgram
+from vrcaps.actuation.coil_program import CoilProgram
 from vrcaps.actuation.steering_program import SteeringProgram
 from vrcaps.config.fields import path_of
 from vrcaps.core.errors import InputError

@@ -15,13 +15,12 @@ from vrcaps.actuation.arm.arm import read_arm
 from vrcaps.cockpit import messages
 from vrcaps.cockpit.driving.drive_commands import EpisodeRecording, drive_handlers
 from vrcaps.cockpit.driving.drive_page import DrivePage
-from vrcaps.cockpit.driving.drive_setup import limit_text, lost_text
+from vrcaps.cockpit.driving.drive_setup import QUANTITIES, Readings, limit_text, lost_text
 from vrcaps.cockpit.driving.new_drive import next_scenario
-from vrcaps.cockpit.driving.readings import QUANTITIES, Readings
-from vrcaps.cockpit.driving.wall_map import _segments
-from vrcaps.cockpit.episodes.episode_page import EpisodePage
+from vrcaps.cockpit.episode_page import EpisodePage
 from vrcaps.cockpit.messages import NewDrive, Severity
 from vrcaps.cockpit.page import FieldError
+from vrcaps.cockpit.session.seen_wall import _segments
 from vrcaps.cockpit.session.session import cockpit_scenario
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.magnet.sources import Sphere

@@ -12,8 +12,8 @@ import pytest
 
 from tests.support.cockpit_browser import free_port, wait_until
 from tests.support.waiting import WATCHDOG
-from vrcaps.cockpit.episodes.episode_page import open_episodes
-from vrcaps.cockpit.episodes.episode_views import RecordedWalls
+from vrcaps.cockpit.episode_page import open_episodes
+from vrcaps.cockpit.episode_views import RecordedWalls
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import transform_points
 from vrcaps.mesh.mesh import Mesh

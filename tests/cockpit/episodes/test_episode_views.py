@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vrcaps.cockpit.episodes.episode_views import COLUMNS, read_path_estimate, values_of
+from vrcaps.cockpit.episode_views import COLUMNS, read_path_estimate, values_of
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import rotation_from_vector, transform_from
 

@@ -16,7 +16,7 @@ from vrcaps.cockpit.scene.nodes import Cut, PathNode
 from vrcaps.core.geometry import transform_from, triangle_areas
 from vrcaps.core.units import MM
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.tissue.contact_laws import WinklerFoundation
+from vrcaps.tissue.tissue import WinklerFoundation
 from vrcaps.world.indentation import indentation
 
 NARROW = 5.8 * MM

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.support.waiting import wait_until
-from vrcaps.actuation.coils.coil_program import CoilSteering
+from vrcaps.actuation.coil_program import CoilSteering
 from vrcaps.actuation.steering_program import JoystickCommand, read_commands
 from vrcaps.cockpit.session.operator import PolicyDriver
 from vrcaps.cockpit.session.session import Session, cockpit_scenario

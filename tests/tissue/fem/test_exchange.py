@@ -20,10 +20,9 @@ from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import transform_points
 from vrcaps.core.units import MM
-from vrcaps.tissue.contact_laws import Drag
 from vrcaps.tissue.fem.assembly import assemble, surface_mass
 from vrcaps.tissue.fem.deformation import FemDeformation
-from vrcaps.tissue.tissue import Tissue
+from vrcaps.tissue.tissue import Drag, Tissue
 from vrcaps.world.control import GRAVITY, Control
 from vrcaps.world.model import Model, State
 from vrcaps.world.snapshot import read_snapshot, write_snapshot

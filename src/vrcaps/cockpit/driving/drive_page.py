@@ -11,15 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.cockpit.driving.drive_commands import DriveParts, EpisodeRecording, drive_handlers
-from vrcaps.cockpit.driving.drive_setup import drive_setup, limit_text, lost_text
-from vrcaps.cockpit.driving.readings import Readings
-from vrcaps.cockpit.driving.wall_map import WallMap
+from vrcaps.cockpit.driving.drive_setup import Readings, drive_setup, limit_text, lost_text
 from vrcaps.cockpit.messages import Command, NewDrive, Steer
 from vrcaps.cockpit.page import Page
 from vrcaps.cockpit.scene.live_scene import LiveScene
 from vrcaps.cockpit.scene.viewpoint import browser_of
 from vrcaps.cockpit.session.camera_images import CameraImages, LiveImage
-from vrcaps.cockpit.session.seen_wall import SeenWall
+from vrcaps.cockpit.session.seen_wall import SeenWall, WallMap
 from vrcaps.core.errors import InputError
 from vrcaps.env.actuation import MagnetActuation
 from vrcaps.policy.catalog import policy_names

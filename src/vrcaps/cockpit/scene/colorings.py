@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from vrcaps.capsule.device import Body
     from vrcaps.cockpit.session.seen_wall import SeenWall
     from vrcaps.organ.surface import OrganSurface
-    from vrcaps.tissue.contact_laws import WinklerFoundation
+    from vrcaps.tissue.tissue import WinklerFoundation
 
 _MAX_FACES = 12_000
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from vrcaps.cockpit import messages
 from vrcaps.cockpit.driving.drive_commands import require_known
-from vrcaps.cockpit.episodes.episode_views import (
+from vrcaps.cockpit.episode_views import (
     ALIGNMENTS,
     EPISODE_COLORS,
     ESTIMATE_COLOR,

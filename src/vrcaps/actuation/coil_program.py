@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from vrcaps.actuation.coils.coil_array import (
+from vrcaps.actuation.coil_array import (
     CoilArray,
     CoilState,
     advance_coils,

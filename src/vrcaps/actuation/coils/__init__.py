@@ -1,1 +1,0 @@
-"""Coil actuation: arrays of electromagnets, their currents, and the programs that set them."""

@@ -1,1 +1,0 @@
-"""Page of recorded episodes: scene, charts and player."""

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY, Effect
 from vrcaps.camera_pipeline.effects import EFFECTS
-from vrcaps.capsule.device import ImageChain, UnitVariation
 from vrcaps.capsule.device_file import read_device
+from vrcaps.capsule.image_chain import ImageChain, UnitVariation
 
 PAGE = Path(__file__).parent / "concepts" / "effects.md"
 

@@ -24,8 +24,8 @@ from vrcaps.lumen.contents import (
     CM2,
     LIQUID_SEVERITIES,
     Contents,
-    prepared,
 )
+from vrcaps.lumen.preparation import prepared
 from vrcaps.organ.surface import interpolate
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings

@@ -111,7 +111,7 @@ class Coverage:
             InputError: If a value is invalid.
             UnknownNameError: If a setting is unknown.
         """
-        from vrcaps.policy.training import PRESETS
+        from vrcaps.policy.presets import PRESETS
         from vrcaps.scenario.settings import parse_change
         from vrcaps.training import changed_settings
 

@@ -1,4 +1,4 @@
-"""Tissue of the wall: its contact laws, deformation and motility."""
+"""Tissue of the wall: Winkler foundation, spring wall and drag, deformation and motility."""
 
 from __future__ import annotations
 

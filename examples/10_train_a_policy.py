@@ -20,7 +20,7 @@ from vrcaps.env import ForcePenalty, LogGain
 from vrcaps.policy import Score, TrainingSettings, read_policy, train
 from vrcaps.policy.presets import ci, default
 from vrcaps.policy.training import BEST
-from vrcaps.training.folder import Progress
+from vrcaps.training import Progress
 
 
 def main(out: Path, preset: TrainingSettings, actions: int) -> None:

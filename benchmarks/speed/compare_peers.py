@@ -23,20 +23,22 @@ import tyro
 
 from benchmarks.common.sections import write_section
 from benchmarks.speed.peers import PACKAGES, embree, find_peers, mitsuba, mujoco, package_versions
-from vrcaps.cli.benchmarks.render import setting
+from vrcaps.cli.benchmarks.render import COLUMNS, COMPLETE, drawn, row, setting
 from vrcaps.cli.benchmarks.report import (
     PAGE_TITLE,
     Claim,
     Report,
+    Subject,
     Table,
+    Times,
     check_out,
+    interleave,
     machine_facts,
+    ratio,
     show_report,
     to_markdown,
 )
 from vrcaps.cli.benchmarks.stage import FULL, QUICK, Extent, Stage, make_organ, make_stage
-from vrcaps.cli.benchmarks.studies import COLUMNS, COMPLETE, drawn, row
-from vrcaps.cli.benchmarks.timing import Subject, Times, interleave, ratio
 from vrcaps.cli.console import console
 from vrcaps.core.errors import UnknownNameError
 from vrcaps.render.settings import RenderSettings

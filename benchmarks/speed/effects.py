@@ -24,7 +24,7 @@ import numpy as np
 from benchmarks.common.scripts import parser, table, write_section
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
 from vrcaps.camera_pipeline.effects import SEVERITIES, parse_effects
-from vrcaps.cli.benchmarks.timing import Spread, Subject, Times, interleave, ratio
+from vrcaps.cli.benchmarks.report import Spread, Subject, Times, interleave, ratio
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.recording.recorder import record
 from vrcaps.render.renderer import Renderer

@@ -20,9 +20,9 @@ import numpy as np
 
 from benchmarks.common.scripts import DATA, options, table, write_section
 from vrcaps.anatomy.catalog import generate_organ
+from vrcaps.cli.benchmarks.render import drawn
+from vrcaps.cli.benchmarks.report import Spread, Subject, interleave
 from vrcaps.cli.benchmarks.stage import Stage, make_stage, resized_camera
-from vrcaps.cli.benchmarks.studies import drawn
-from vrcaps.cli.benchmarks.timing import Spread, Subject, interleave
 from vrcaps.core.units import MM
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings

@@ -7,9 +7,9 @@ import pytest
 
 from tests.support.small_envs import GUT, LESION_GUT, simulation_of, small_settings
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.env.env import ENVIRONMENTS
 from vrcaps.env.episode import Episode
 from vrcaps.env.randomization import Start
-from vrcaps.env.registration import ENVIRONMENTS
 from vrcaps.env.rewards import ProgressGain
 from vrcaps.env.settings import env_settings
 from vrcaps.env.simulation import Simulation

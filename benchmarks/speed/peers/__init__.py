@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps.cli.benchmarks.report import Subject
 from vrcaps.cli.benchmarks.stage import Stage
-from vrcaps.cli.benchmarks.timing import Subject
 from vrcaps.core.geometry import transform_points
 from vrcaps.mesh.mesh import vertex_normals
 

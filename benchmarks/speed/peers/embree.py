@@ -6,8 +6,8 @@ import numpy as np
 
 from benchmarks.speed.peers import load_package
 from vrcaps.camera.camera import camera_rays
+from vrcaps.cli.benchmarks.report import Subject
 from vrcaps.cli.benchmarks.stage import Stage
-from vrcaps.cli.benchmarks.timing import Subject
 from vrcaps.core.geometry import rotate_vectors
 
 PRIMARY_RAYS = "Embree, primary rays only"

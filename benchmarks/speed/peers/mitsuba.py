@@ -13,8 +13,8 @@ import numpy as np
 
 from benchmarks.speed.peers import PeerMissingError, led_positions, load_package, welded_mesh
 from vrcaps.camera.camera import camera_rays
+from vrcaps.cli.benchmarks.report import Subject
 from vrcaps.cli.benchmarks.stage import Stage
-from vrcaps.cli.benchmarks.timing import Subject
 
 RENDER = "Mitsuba, direct + AOV"
 BARE = "Mitsuba, direct + AOV, no film, frozen"

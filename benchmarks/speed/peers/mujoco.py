@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.speed.peers import PeerMissingError, load_package, welded_mesh
+from vrcaps.cli.benchmarks.report import Subject
 from vrcaps.cli.benchmarks.stage import Stage
-from vrcaps.cli.benchmarks.timing import Subject
 from vrcaps.core.geometry import quaternion_from_matrix
 
 ALL = "MuJoCo, rgb + depth + segmentation"

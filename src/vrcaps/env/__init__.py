@@ -8,7 +8,7 @@ its settings, as in ``actuation="magnet"`` or ``actuation=MagnetActuation(speed=
 from vrcaps.core.errors import MissingExtraError
 
 try:
-    import gymnasium
+    import gymnasium  # noqa: F401
 except ImportError as error:
     raise MissingExtraError("gymnasium", "env") from error
 
@@ -18,6 +18,7 @@ from vrcaps.env.actuation import ArmActuation as ArmActuation
 from vrcaps.env.actuation import MagnetActuation as MagnetActuation
 from vrcaps.env.actuation import Wrench as Wrench
 from vrcaps.env.env import CapsuleEnv as CapsuleEnv
+from vrcaps.env.env import register as _register
 from vrcaps.env.landmarks import LandmarksObservation as LandmarksObservation
 from vrcaps.env.observations import ImageObservation as ImageObservation
 from vrcaps.env.observations import MapObservation as MapObservation
@@ -33,7 +34,6 @@ from vrcaps.env.parts import Reward as Reward
 from vrcaps.env.parts import Task as Task
 from vrcaps.env.randomization import Randomization as Randomization
 from vrcaps.env.randomization import Start as Start
-from vrcaps.env.registration import register as _register
 from vrcaps.env.rewards import AreaGain as AreaGain
 from vrcaps.env.rewards import ForcePenalty as ForcePenalty
 from vrcaps.env.rewards import LogGain as LogGain
@@ -56,7 +56,7 @@ from vrcaps.lesion import Polyp as Polyp
 from vrcaps.tissue.tissue import Drag as Drag
 from vrcaps.tissue.tissue import Tissue as Tissue
 
-_register(gymnasium)
+_register()
 
 _OPTIONAL = {"Sb3VecEnv": "vrcaps.env.sb3", "CapsuleParallelEnv": "vrcaps.env.parallel_env"}
 """Classes that need Stable-Baselines3 or PettingZoo, imported on first use."""

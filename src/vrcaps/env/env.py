@@ -1,4 +1,4 @@
-"""Gymnasium environment of one capsule."""
+"""Gymnasium environment of one capsule, and the registration of all environments."""
 
 from __future__ import annotations
 
@@ -10,8 +10,48 @@ import numpy as np
 from vrcaps.core.errors import require
 from vrcaps.env.episode import Episode
 from vrcaps.env.parts import EnvView
-from vrcaps.env.settings import EnvSettings
+from vrcaps.env.settings import EnvSettings, env_settings
 from vrcaps.env.simulation import EnvSnapshot, restore_snapshot, take_snapshot
+
+ENVIRONMENTS = {"Coverage-v0": "coverage", "Navigate-v0": "navigate", "Inspect-v0": "inspect"}
+"""Tasks by the name of their environment."""
+
+
+def register() -> None:
+    """Register an environment for each task."""
+    for name, task in ENVIRONMENTS.items():
+        if name not in gymnasium.registry:
+            gymnasium.register(
+                name,
+                entry_point="vrcaps.env.env:make_env",
+                vector_entry_point="vrcaps.env.env:make_vector_env",
+                kwargs={"task": task},
+            )
+
+
+def make_env(render_mode: str | None = None, **keywords: Any) -> Any:
+    """Create the environment of one capsule from keyword arguments."""
+    return CapsuleEnv(_settings(keywords), render_mode=render_mode)
+
+
+def make_vector_env(
+    num_envs: int = 1,
+    max_episode_steps: int | None = None,
+    render_mode: str | None = None,
+    autoreset_mode: Any = "NextStep",
+    **keywords: Any,
+) -> Any:
+    """Create the vector environment from keyword arguments."""
+    from vrcaps.env.vector_env import CapsuleVectorEnv, with_time_limit
+
+    settings = with_time_limit(_settings(keywords), max_episode_steps)
+    return CapsuleVectorEnv(
+        settings, num_envs, autoreset_mode=autoreset_mode, render_mode=render_mode
+    )
+
+
+def _settings(keywords: dict[str, Any]) -> EnvSettings:
+    return keywords.pop("settings", None) or env_settings(**keywords)
 
 
 class CapsuleEnv(gymnasium.Env):

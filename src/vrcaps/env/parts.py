@@ -30,9 +30,8 @@ if TYPE_CHECKING:
 
     from vrcaps.capsule.device import Device
     from vrcaps.env.cameras import CameraImages
-    from vrcaps.env.coverage import Coverage
     from vrcaps.env.patients import Patient
-    from vrcaps.env.worlds import Course, EnvWorlds, Memory
+    from vrcaps.env.worlds import Course, Coverage, EnvWorlds, Memory
     from vrcaps.magnet.sources import Source
     from vrcaps.metrics.coverage import CoverageCriteria
     from vrcaps.world.batch import WorldBatch

@@ -15,12 +15,11 @@ from vrcaps import __version__
 from vrcaps.core.errors import InputError, reading, require
 from vrcaps.core.files import read_arrays, write_arrays
 from vrcaps.env.cameras import CameraImages
-from vrcaps.env.coverage import Coverage
 from vrcaps.env.parts import EnvView
 from vrcaps.env.patients import Patients
 from vrcaps.env.randomization import FACTORS, varied_device, varied_tissue
 from vrcaps.env.settings import EnvSettings
-from vrcaps.env.worlds import EnvWorlds, Memory
+from vrcaps.env.worlds import Coverage, EnvWorlds, Memory
 from vrcaps.world.control import Control
 from vrcaps.world.model import State
 from vrcaps.world.snapshot import Snapshot, snapshot_arrays, snapshot_from_arrays

@@ -13,7 +13,6 @@ from vrcaps.env.settings import EnvSettings
 from vrcaps.env.tasks import CoverageTask
 from vrcaps.policy.ppo import PpoSettings
 from vrcaps.policy.training import TrainingSettings
-from vrcaps.scenario.scenario import OrganGenerated
 
 
 def paper() -> TrainingSettings:
@@ -28,7 +27,7 @@ def paper() -> TrainingSettings:
         actuation=Wrench("discrete", is_weightless=True),
         observations=(StateObservation(),),
         rewards=(PaperGain(level="frustum"),),
-        organs=_stomachs(3),
+        organs=("stomach:0-2",),
         episode_time=250.0,
         stuck_time=250.0,
     )
@@ -57,7 +56,7 @@ def default() -> TrainingSettings:
         rewards=(LogGain(),),
         actuation=Wrench(force=5e-3, torque=1e-5, is_weightless=True, frame="capsule"),
         observations=(LandmarksObservation(),),
-        organs=_stomachs(16),
+        organs=("stomach:0-15",),
         start=Start(settle=0.0),
         episode_time=50.0,
     )
@@ -67,7 +66,7 @@ def default() -> TrainingSettings:
 def ci() -> TrainingSettings:
     """Smoke-test preset: runs in seconds, with too few actions to improve."""
     ours = default()
-    env = replace(ours.env, organs=_stomachs(1), episode_time=1.0, num_points=256)
+    env = replace(ours.env, organs=("stomach:0",), episode_time=1.0, num_points=256)
     learner = replace(
         ours.learner, num_envs=2, num_actions=36, updates=1, hidden=(16,), evaluation_episodes=2
     )
@@ -76,7 +75,3 @@ def ci() -> TrainingSettings:
 
 PRESETS = {"default": default, "paper": paper, "ci": ci}
 """Presets of the task `coverage` by name."""
-
-
-def _stomachs(count: int) -> tuple[OrganGenerated, ...]:
-    return tuple(OrganGenerated("stomach", seed=seed) for seed in range(count))

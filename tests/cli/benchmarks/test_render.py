@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from vrcaps.cli.benchmarks import render
+from vrcaps.cli.benchmarks.render import COMPLETE, STUDIES, Study, drawn
 from vrcaps.cli.benchmarks.stage import Extent, Stage
-from vrcaps.cli.benchmarks.studies import COMPLETE, STUDIES, Study, drawn
 from vrcaps.core.errors import UnknownNameError
 from vrcaps.render.renderer import DEFAULT_CHANNELS
 

@@ -11,12 +11,12 @@ from vrcaps.cli.benchmarks.report import (
     Claim,
     Report,
     Row,
+    Spread,
     Table,
     check_out,
     machine_facts,
     show_report,
 )
-from vrcaps.cli.benchmarks.timing import Spread
 from vrcaps.core.errors import InputError
 
 FAST = Claim(text="fast", sense="≥", limit=100.0, unit="per second", reference="a paper | page 3")

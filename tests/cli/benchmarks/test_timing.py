@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vrcaps.cli.benchmarks import timing
-from vrcaps.cli.benchmarks.timing import Spread, Subject, Times, interleave, ratio
+from vrcaps.cli.benchmarks import report
+from vrcaps.cli.benchmarks.report import Spread, Subject, Times, interleave, ratio
 
 
 def test_turns_alternate_and_every_view_is_drawn_once_a_round() -> None:
@@ -33,8 +33,8 @@ def test_times_are_of_one_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     def draw(view: int) -> None:
         now[0] += 2e-3 * (1 + view)
 
-    monkeypatch.setattr(timing.time, "perf_counter", lambda: now[0])
-    monkeypatch.setattr(timing.time, "process_time", lambda: 0.5 * now[0])
+    monkeypatch.setattr(report.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(report.time, "process_time", lambda: 0.5 * now[0])
     times = interleave([Subject("s", draw)], num_views=2, num_rounds=3)["s"]
     np.testing.assert_allclose(times.wall, [3e-3] * 3)
     np.testing.assert_allclose(times.cpu, [1.5e-3] * 3)

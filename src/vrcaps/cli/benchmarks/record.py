@@ -12,8 +12,15 @@ from typing import Any
 import numpy as np
 
 from vrcaps.cli.benchmarks import claims
-from vrcaps.cli.benchmarks.report import Report, Row, Table, check_out, machine_facts, show_report
-from vrcaps.cli.benchmarks.timing import Spread
+from vrcaps.cli.benchmarks.report import (
+    Report,
+    Row,
+    Spread,
+    Table,
+    check_out,
+    machine_facts,
+    show_report,
+)
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import scratch_folder

@@ -15,13 +15,13 @@ from vrcaps.cli.benchmarks.report import (
     Claim,
     Report,
     Row,
+    Spread,
     Table,
     check_out,
     machine_facts,
     show_report,
 )
 from vrcaps.cli.benchmarks.stage import FULL, QUICK, Stage, make_organ, make_stage
-from vrcaps.cli.benchmarks.timing import Spread
 from vrcaps.cli.console import console
 from vrcaps.core.units import MM
 from vrcaps.tissue.fem.deformation import FemDeformation

@@ -253,7 +253,7 @@ def currents_for_wrench(
     return currents / max(1.0, float((np.abs(currents) / max_currents).max()))
 
 
-_ARRAYS = CatalogFolder(Path(__file__).parent / "arrays", "coil array")
+_ARRAYS = CatalogFolder(Path(__file__).parent / "coil_arrays", "coil array")
 
 
 def coil_array_names() -> tuple[str, ...]:

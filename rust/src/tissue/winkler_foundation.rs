@@ -2,7 +2,7 @@
 
 use crate::simd::f64x8::{exp_m1, ln, max, min};
 
-/// Foundation that resists the capsule: `vrcaps.tissue.contact_laws.WinklerFoundation`.
+/// Foundation that resists the capsule: `vrcaps.tissue.tissue.WinklerFoundation`.
 #[derive(Clone, Copy)]
 pub struct WinklerFoundation {
     /// Pressure by depth of a slight indentation K [Pa/m].

@@ -23,7 +23,7 @@ pub struct BodyParameters<'py> {
     radius: f64,
 }
 
-/// The wall's pressure: `vrcaps.tissue.contact_laws.WinklerFoundation`.
+/// The wall's pressure: `vrcaps.tissue.tissue.WinklerFoundation`.
 #[derive(FromPyObject)]
 pub struct FoundationParameters {
     stiffness: f64,
@@ -32,7 +32,7 @@ pub struct FoundationParameters {
     rate: f64,
 }
 
-/// The wall's resistance: `vrcaps.tissue.contact_laws.Drag`.
+/// The wall's resistance: `vrcaps.tissue.tissue.Drag`.
 #[derive(FromPyObject)]
 pub struct DragParameters {
     law: String,
@@ -49,7 +49,7 @@ pub struct DragParameters {
 /// Time τ in which a capsule in quasi-static motion loses its momentum where none is given [s].
 const QUASI_STATIC_RELAXATION: f64 = 0.1;
 
-/// The spring wall: `vrcaps.tissue.contact_laws.SpringWall`.
+/// The spring wall: `vrcaps.tissue.tissue.SpringWall`.
 #[derive(FromPyObject)]
 pub struct SpringWallParameters {
     length: f64,

@@ -1,8 +1,9 @@
-"""Lumen contents: bubbles, chyme and liquid.
+"""Lumen contents: bubbles, chyme, liquid, turbid fluid and the film on the dome.
 
-`contents` sets the contents by severity, by parameters or by the Boston scale. `lumen_contents`
-holds the contents of an organ at one instant: `placement` positions the spheres (`particles`),
-`pools` locates standing liquid.
+`contents` sets the contents by severity or parameters, `preparation` by the Boston scale.
+`lumen_contents` holds the contents of an organ at one instant: `placement` positions the spheres
+(`particles`), `along_gut` varies amounts along the gut, `pools` locates standing liquid.
+
 The names in `__init__.pyi` are loaded on first use.
 """
 

@@ -1,6 +1,6 @@
 """Tissue: mechanics of the wall.
 
 `tissue.Tissue` collects the mechanical models of one organ: contact with an elastic foundation,
-drag and deformation by springs (`contact_laws`) or finite elements (`fem/`), and peristalsis and
-other contractions (`motility/`).
+drag and deformation by springs or finite elements (`fem/`), and peristalsis and other contractions
+(`motility/`).
 """

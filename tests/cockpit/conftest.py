@@ -4,20 +4,13 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
 
 from tests.support.cockpit_browser import free_port
+from tests.support.small_drive import small_drive
 from tests.support.small_episode import *  # noqa: F403
-from tests.support.tubes import straight_gut
-from vrcaps.actuation.steering_program import MagnetSteering
-from vrcaps.camera.derive import scaled_camera
-from vrcaps.camera_pipeline.effects import Effects
-from vrcaps.capsule.device_file import read_device
-from vrcaps.motion.dynamics import Dynamics
-from vrcaps.organ.organ_file import write_organ
 from vrcaps.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -28,20 +21,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="session")
 def drive_scenario(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
-    """The magnet moves freely: an arm is tested where it is."""
-    file = tmp_path_factory.mktemp("gut") / "gut.glb"
-    write_organ(file, straight_gut({"jejunum": 0.2}, radius=0.014))
-    device = read_device("magnetic")
-    device = replace(device, cameras=(scaled_camera(device.cameras[0], 0.25),))
-    motion = Dynamics(start=0.3, settle=0.2, substep=5e-4, magnet=MagnetSteering())
-    return Scenario(
-        str(file),
-        capsule=device,
-        motion=motion,
-        fps=10.0,
-        channels=("rgb",),
-        effects=Effects.none(),  # images equal the renderer's
-    )
+    return small_drive(tmp_path_factory.mktemp("gut") / "gut.glb")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

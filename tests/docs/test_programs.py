@@ -1,7 +1,8 @@
 """The Python programs of the pages run, shortened where they would take minutes.
 
 The blocks of a page run in order and share their names. `test_five_jobs` runs the quickstart,
-`test_examples` the front page, and the tests of each family the guide to extensions.
+`test_examples` the front page, the tests of each family the guide to extensions, and those of the
+bridge its guide.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from tests.support.programs import run_program
 
 ROOT = Path(__file__).parents[2]
 ELSEWHERE = {"README.md", "docs/tutorials/quickstart.md", "docs/how-to/extending.md"}
+ELSEWHERE |= {"docs/how-to/connect-a-robot.md"}
 NOT_RUN = ("import datasets", "from lerobot", "open_cockpit(")
 """Blocks that need a package which the tests do not install, or a person."""
 

@@ -171,6 +171,8 @@ class CoilProgram:
         sources: One source of 1 A for each coil; its strength in a world is the current.
         status: State after the last command.
         operator: Callback for live steering, as of `SteeringProgram`.
+        current_operator: Callback for live currents: returns the current of each coil [A] at a
+            time [s] for a duration [s]; all other commands are then ignored.
     """
 
     def __init__(self, model: Model, settings: CoilSteering) -> None:
@@ -191,6 +193,7 @@ class CoilProgram:
         rest = coils_at_rest(self.array)
         self.status = CoilStatus(np.zeros(len(self.array.coils)), rest, "")
         self.operator: Callable[[float, float], JoystickCommand] | None = None
+        self.current_operator: Callable[[float, float], Float[np.ndarray, " k"]] | None = None
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -210,6 +213,8 @@ class CoilProgram:
         return Control(strengths=state.currents)
 
     def _commands(self, world: World, time: float, dt: float) -> Float[np.ndarray, " k"]:
+        if self.current_operator is not None:
+            return self.current_operator(time, dt)
         if self._rows:
             return row_at(self._rows, time)
         if self.operator is None and not self._joystick:

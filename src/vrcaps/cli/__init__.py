@@ -29,6 +29,11 @@ _VERBS = {
     "demo": ("vrcaps.cli.record", "Demo", "Record a labeled episode in a generated colon."),
     "record": ("vrcaps.cli.record", "Record", "Record an episode of an organ and a capsule."),
     "cockpit": ("vrcaps.cli.cockpit", "Cockpit", "Steer a capsule by magnet from a browser."),
+    "bridge": (
+        "vrcaps.cli.bridge",
+        "Bridge",
+        "Publish sensors and accept commands over WebSocket.",
+    ),
     "view": ("vrcaps.cli.episodes", "View", "View episodes in a browser."),
     "check": ("vrcaps.cli.episodes", "Check", "Verify an episode."),
     "scene": ("vrcaps.cli.episodes", "Scene", "Write the scene of an episode as MJCF or USD."),
@@ -105,6 +110,10 @@ _NOUNS = {"export": "format", "predict": "task", "evaluate": "task or policy"}
 """Terms for the word after the verb of a group, for messages."""
 
 
+_OF_SCENARIOS = ("record", "cockpit", "bridge")
+"""Verbs that take a scenario."""
+
+
 class _Command(Protocol):
     def run(self) -> None: ...
 
@@ -167,7 +176,11 @@ def _parse(args: Sequence[str]) -> _Command:
     named = list(takewhile(lambda arg: not arg.startswith("-"), args))
     verbs = _all_verbs(named)
     check_verb(named, verbs, _NOUNS)
-    if len(named) > 1 and named[0] in ("record", "cockpit"):  # before the scenario is imported
+    if len(named) > 1 and named[0] in (
+        "record",
+        "cockpit",
+        "bridge",
+    ):  # before the scenario is imported
         require_file(named[1], "a scenario file (TOML, JSON) or the episode.json of an episode")
     if not args or (args == named and " ".join(named) in _GROUPS and named[0] not in verbs):
         sys.stderr.write(_help(named))

@@ -138,7 +138,7 @@ def require_free(host: str, port: int) -> None:
             probe.bind((host, port))
         except OSError as error:
             raise InputError(
-                f"Cannot serve the page at {host} port {port}: {error.strerror}. Choose another "
+                f"Cannot listen at {host} port {port}: {error.strerror}. Choose another "
                 "--port, or stop the program that uses it."
             ) from error
 

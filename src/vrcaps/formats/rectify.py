@@ -95,7 +95,27 @@ def pinhole_camera(
     Raises:
         InputError: As `rectified`.
     """
-    camera = _require_camera(sequence)
+    return pinhole_of(_require_camera(sequence), field_of_view, size, name=sequence.name)
+
+
+def pinhole_of(
+    camera: Camera,
+    field_of_view: float,
+    size: tuple[int, int] | None = None,
+    *,
+    name: str | None = None,
+) -> Camera:
+    """Pinhole with the pose of a camera, as of `pinhole_camera`.
+
+    Args:
+        camera: Camera with any lens.
+        field_of_view: Angle from the left to the right edge of the new image [rad].
+        size: Width and height of the new image [px]; None keeps the resolution at the center.
+        name: Name for messages; None is that of the camera.
+
+    Raises:
+        InputError: If the field is too wide for the lens, or the image is too large.
+    """
     given = f"{degrees(field_of_view):g}"
     require(0.0 < field_of_view < pi, "Field of view", given, "above 0 to below 180 degrees")
     if size is None:
@@ -106,8 +126,8 @@ def pinhole_camera(
     outermost = atan((size[0] - 1) / 2.0 / focal)
     if not _sees(camera, np.array([-outermost, outermost])).all():
         raise InputError(
-            f"{sequence.name} sees {degrees(widest_field(camera)):.1f} degrees from left to right. "
-            f"A field of view of {given} degrees does not fit; give that or less."
+            f"{name or camera.name} sees {degrees(widest_field(camera)):.1f} degrees from left to "
+            f"right. A field of view of {given} degrees does not fit; give that or less."
         )
     return replace(
         camera,
@@ -117,6 +137,11 @@ def pinhole_camera(
         image_circle_px=None,
         nominal_field=field_of_view,
     )
+
+
+def resampled_image(image: NDArray, channel: str, old: Camera, new: Camera) -> NDArray:
+    """Image of a channel as seen by another camera with the same pose, as of `resampled`."""
+    return _load(lambda channel, index: image, old, new, channel, 0)
 
 
 def widest_field(camera: Camera) -> float:

@@ -20,8 +20,8 @@ from vrcaps.cockpit.driving.new_drive import next_scenario
 from vrcaps.cockpit.episode_page import EpisodePage
 from vrcaps.cockpit.messages import NewDrive, Severity
 from vrcaps.cockpit.page import FieldError
+from vrcaps.cockpit.session.drive import cockpit_scenario
 from vrcaps.cockpit.session.seen_wall import _segments
-from vrcaps.cockpit.session.session import cockpit_scenario
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.magnet.sources import Sphere
 from vrcaps.scenario.scenario import OrganGenerated, Scenario

@@ -15,7 +15,7 @@ from tests.support.waiting import wait_until
 from vrcaps.actuation.coil_program import CoilSteering
 from vrcaps.actuation.steering_program import JoystickCommand, read_commands
 from vrcaps.cockpit.session.operator import PolicyDriver
-from vrcaps.cockpit.session.session import Session, cockpit_scenario
+from vrcaps.cockpit.session.session import Session
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.geometry import quaternion_from_matrix
 from vrcaps.lumen.contents import Contents
@@ -200,9 +200,9 @@ def test_a_full_disk_is_told_and_the_next_save_writes_all(drive_scenario, tmp_pa
     assert commands[1].linear == (1.0, 0.0, 0.0)
 
 
-def test_coils_are_refused_in_one_line():
-    scenario = Scenario("stomach", "magnetic", motion=Dynamics(coils=CoilSteering()))
+def test_coils_are_refused_in_one_line(drive_scenario, tmp_path):
+    scenario = replace(drive_scenario, motion=Dynamics(coils=CoilSteering()))
     with pytest.raises(
         InputError, match=r"steers by a magnet\. Give motion\.magnet instead of coils"
     ):
-        cockpit_scenario(scenario)
+        Session(scenario, tmp_path / "drive")

@@ -10,7 +10,9 @@ import pytest
 from vrcaps.core.errors import InputError, MissingExtraError
 from vrcaps.core.geometry import matrix_from_quaternion
 from vrcaps.formats.io import export
-from vrcaps.formats.robotics.ros2_bag import Ros2Bag
+from vrcaps.formats.robotics.ros2_bag import Ros2Bag, _Bag
+from vrcaps.formats.robotics.ros_messages import state_messages
+from vrcaps.recording.table import FrameTable
 
 pytest.importorskip("rosbags")
 STORED = ("rgb", "depth", "label", "instance", "occlusion")
@@ -75,20 +77,9 @@ def test_an_independent_reader_finds_the_same_poses_and_images(pinhole_episode, 
     assert min(times) >= 0
 
 
-class Recorded:
-    """A table with the columns of sensors, an arm and commands."""
-
-    def __init__(self, columns):
-        self.columns = columns
-
-
 def test_sensors_joints_and_commands_are_standard_messages(tmp_path):
-    from types import SimpleNamespace
-
     from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_typestore
-
-    from vrcaps.formats.robotics.ros2_bag import _Bag, _write_state
 
     names = {"accelerometer_{}_m_per_s2": 1, "gyroscope_{}_rad_per_s": 4, "magnetometer_{}_t": 7}
     names |= {"commanded_force_{}_n": 10, "commanded_torque_{}_nm": 13}
@@ -98,9 +89,9 @@ def test_sensors_joints_and_commands_are_standard_messages(tmp_path):
         for k, axis in enumerate("xyz")
     }
     columns |= {"joint_1_rad": np.array([0.0, 0.5]), "coil_1_current_a": np.array([0.0, 20.0])}
-    episode = SimpleNamespace(table=Recorded(columns), times=np.array([0.0, 1.5]))
     with _Bag.writing(tmp_path / "bag") as bag:
-        _write_state(bag, episode, 1)
+        for message in state_messages(FrameTable(columns), 1, 1.5):
+            bag.send(message)
     store, found = get_typestore(Stores.ROS2_HUMBLE), {}
     with Reader(tmp_path / "bag") as reader:
         for connection, ns, data in reader.messages():

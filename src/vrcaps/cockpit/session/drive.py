@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vrcaps.actuation.steering_program import JOYSTICK_COLUMNS, JoystickCommand
+from vrcaps.actuation.steering_program import JOYSTICK_COLUMNS, JoystickCommand, MagnetSteering
 from vrcaps.camera_pipeline.effect.base import ImageEffect
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES
 from vrcaps.capsule.device_file import device_names, read_device
@@ -18,7 +18,9 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.files import is_new_folder, remove_stale, write_bytes, write_json
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.organ.segments import ORGANS
+from vrcaps.scenario.build import ResolvedScenario, resolve
 from vrcaps.scenario.scenario import (
+    MAX_FRAMES,
     PREVALENCE,
     SOURCE_ORGAN,
     OrganFile,
@@ -195,6 +197,28 @@ def require_drivable(scenario: Scenario) -> None:
             f"{', '.join(ORGANS)}."
         )
     require_magnet(scenario.device)
+
+
+def cockpit_scenario(scenario: Scenario) -> ResolvedScenario:
+    """Return the scenario of a drive: a magnet or coils steered live, and explicit settings.
+
+    A scenario without dynamics, or without a magnet and coils, gets the default ones; waypoints and
+    recorded commands are replaced by the driver.
+    """
+    motion = scenario.motion
+    if not isinstance(motion, Dynamics):
+        motion = Dynamics(start=getattr(motion, "start", Dynamics.start), substep=2e-4)
+    still = (JoystickCommand(0.0),)
+    names = ("posture_changes", "insufflation", "flushes", "phase_three")
+    orders: dict[str, Any] = dict.fromkeys(names, ())
+    if motion.coils is not None:
+        coils = replace(motion.coils, currents=(), command_file=None, joystick=still)
+        motion = replace(motion, coils=coils, **orders)
+    else:
+        magnet = motion.magnet or MagnetSteering(arm="panda")
+        magnet = replace(magnet, waypoints=(), command_file=None, joystick=still)
+        motion = replace(motion, magnet=magnet, **orders)
+    return resolve(replace(scenario, motion=motion, frames=MAX_FRAMES, variation=False))
 
 
 def chosen_scenario(scenario: Scenario, choice: Choice) -> Scenario:

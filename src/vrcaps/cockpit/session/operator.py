@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps.actuation.pose_following import axes_towards
 from vrcaps.actuation.steering_program import JoystickCommand, SteeringProgram
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError, VrcapsError
-from vrcaps.core.geometry import vector_from_rotation
 from vrcaps.env.actuation import MagnetActuation
 from vrcaps.env.settings import EnvSettings, env_settings
 from vrcaps.env.tasks import NavigateTask
@@ -25,12 +25,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
     from vrcaps.motion.rollout import Rollout
-
-_ARRIVED = (1e-5, 1e-4)
-"""Distance [m] and angle [rad] from a dragged pose within which it counts as reached."""
-
-_BLOCKED = ("unreachable", "collision")
-"""Actuator limits at which a dragged pose is dropped once it is released."""
 
 
 class Operator:
@@ -140,18 +134,11 @@ class Operator:
             self._driver = None
         if self._target is None:
             return self._axes
-        settings, controller = self._program.settings, self._program.controller
-        now, status = controller.requested, controller.status.actuator
-        offset = self._target[:3, 3] - now[:3, 3]
-        rotation = vector_from_rotation(self._target[:3, :3] @ now[:3, :3].T)
-        near = np.linalg.norm(offset) < _ARRIVED[0] and np.linalg.norm(rotation) < _ARRIVED[1]
-        if not self._is_dragging and (near or status.limit in _BLOCKED):
+        axes, is_over = axes_towards(self._program, self._target, dt)
+        if is_over and not self._is_dragging:
             self._target = None
             return np.zeros(6)
-        full = np.repeat([settings.joystick_speed, settings.joystick_angular_speed], 3) * dt
-        axes = np.concatenate([offset, rotation]) / full
-        # All axes by the same factor: the magnet moves straight to the dragged pose.
-        return axes / max(1.0, float(np.abs(axes).max()))
+        return axes
 
 
 _WORLD = np.zeros(1, int)

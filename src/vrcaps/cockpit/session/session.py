@@ -13,16 +13,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.actuation.steering_program import JoystickCommand, MagnetSteering
 from vrcaps.cockpit.session.clock import Clock, View
-from vrcaps.cockpit.session.drive import Drive, make_folder
+from vrcaps.cockpit.session.drive import Drive, cockpit_scenario, make_folder
 from vrcaps.cockpit.session.operator import Operator
 from vrcaps.core.errors import InputError, UnknownNameError, VrcapsError
-from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.rollout import Rollout
 from vrcaps.recording.resume import with_stored_organ
-from vrcaps.scenario.build import ResolvedScenario, build, resolve
-from vrcaps.scenario.scenario import MAX_FRAMES, Scenario
+from vrcaps.scenario.build import build
+from vrcaps.scenario.scenario import Scenario
 from vrcaps.tissue.motility.migrating_complex import Front
 from vrcaps.world.model import posture_transform
 from vrcaps.world.schedule import (
@@ -64,28 +62,6 @@ class _Jump(Exception):
     """Ends a walk through the rollout, to jump to another checkpoint or to close."""
 
 
-def cockpit_scenario(scenario: Scenario) -> ResolvedScenario:
-    """Return the scenario of a drive: a magnet steered by joystick, and explicit settings.
-
-    A scenario without dynamics, or without a magnet, gets the default ones; waypoints and recorded
-    commands are replaced by the driver.
-
-    Raises:
-        InputError: If the scenario has coils, which cannot be driven here.
-    """
-    motion = scenario.motion
-    if not isinstance(motion, Dynamics):
-        motion = Dynamics(start=getattr(motion, "start", Dynamics.start), substep=2e-4)
-    if motion.coils is not None:
-        raise InputError("The cockpit steers by a magnet. Give motion.magnet instead of coils.")
-    magnet = motion.magnet or MagnetSteering(arm="panda")
-    still = (JoystickCommand(0.0),)
-    magnet = replace(magnet, waypoints=(), command_file=None, joystick=still)
-    orders = {"posture_changes": (), "insufflation": (), "flushes": (), "phase_three": ()}
-    motion = replace(motion, magnet=magnet, **orders)
-    return resolve(replace(scenario, motion=motion, frames=MAX_FRAMES, variation=False))
-
-
 class Session:
     """Interactive simulation: steps a rollout in real time, without waiting for viewers.
 
@@ -123,6 +99,10 @@ class Session:
         try:
             resolved = cockpit_scenario(with_stored_organ(scenario, folder))
             self.scenario = resolved.scenario
+            if getattr(self.scenario.motion, "coils", None) is not None:
+                raise InputError(
+                    "The cockpit steers by a magnet. Give motion.magnet instead of coils."
+                )
             self.model, rollout = build(resolved)
         except BaseException:
             if is_new:

@@ -32,6 +32,7 @@ from vrcaps.core.geometry import matrix_from_unit_quaternion, transform_from
 from vrcaps.core.names import inside, listed
 from vrcaps.formats.format import Needs
 from vrcaps.formats.robotics import foxglove_schemas as foxglove
+from vrcaps.formats.robotics.ros_messages import camera_frame
 from vrcaps.formats.shared.folders import recordings, split_of
 from vrcaps.formats.shared.stored_images import decoded_rgb, jpeg_bytes
 from vrcaps.motion.dynamics_settings import MAGNET_COLUMNS
@@ -252,7 +253,7 @@ def _capsule(ns: int, episode: Episode) -> foxglove.Message:
 def frame_of(sequence: FrameSequence) -> str:
     """Name of the frame of a sequence's camera."""
     assert sequence.camera is not None
-    return f"camera_{sequence.camera.name}"
+    return camera_frame(sequence.camera.name)
 
 
 def stored_channels(sequence: FrameSequence) -> tuple[str, ...]:

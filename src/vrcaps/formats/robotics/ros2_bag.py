@@ -21,29 +21,34 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from vrcaps.camera.lens.exchange import OPENCV_LENSES, OpenCvLens
+from vrcaps.camera.lens.exchange import OPENCV_LENSES
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.errors import InputError, import_extra, reading
 from vrcaps.core.files import MAX_BYTES
-from vrcaps.core.geometry import quaternion_from_matrix
 from vrcaps.core.names import listed
 from vrcaps.formats.format import Needs
 from vrcaps.formats.robotics.foxglove_schemas import time_ns
 from vrcaps.formats.robotics.mcap import frame_of, plain_sequence, sequence_of, stored_channels
+from vrcaps.formats.robotics.ros_messages import (
+    IMAGE_ENCODINGS,
+    RosMessage,
+    camera_info_message,
+    image_message,
+    state_messages,
+    transform_message,
+)
 from vrcaps.formats.shared.folders import new_folder, recordings, split_of
 from vrcaps.render.channels import CHANNELS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vrcaps.camera.camera import Camera
     from vrcaps.formats.format import Advance
     from vrcaps.recording.episode import Episode
     from vrcaps.recording.frame_sequence import FrameSequence
 
 _SEQUENCES = "/vrcaps/sequences"
-_ENCODINGS = {"uint8": "8UC1", "uint16": "16UC1", "float32": "32FC1"}
-_TYPES = {encoding: dtype for dtype, encoding in _ENCODINGS.items()}
+_TYPES = {encoding: dtype for dtype, encoding in IMAGE_ENCODINGS.items()}
 
 
 @dataclass(frozen=True)
@@ -64,7 +69,7 @@ class Ros2Bag:
             path.rmdir()  # rosbags creates it
             with _Bag.writing(path) as bag:
                 text = json.dumps([*map(plain_sequence, cameras)])
-                bag.send(_SEQUENCES, "std_msgs/msg/String", 0, data=text)
+                bag.send(RosMessage(_SEQUENCES, "std_msgs/msg/String", 0, {"data": text}))
                 for write in _events(bag, cameras, advance):
                     write()
 
@@ -112,162 +117,52 @@ class _Bag:
         with rosbag2.Writer(path, version=9) as writer:
             yield cls(writer)
 
-    def make(self, kind: str, **fields: Any) -> Any:
-        """Create a message."""
-        return self._store.types[kind](**fields)
-
-    def header(self, ns: int, frame: str) -> Any:
-        """Create a header."""
-        stamp = self.make("builtin_interfaces/msg/Time", sec=ns // 10**9, nanosec=ns % 10**9)
-        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
-
-    def vector(self, values: Any, kind: str = "Vector3") -> Any:
-        """Create a vector or a point."""
-        x, y, z = map(float, values)
-        return self.make(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
-
-    def quaternion(self, rotation: NDArray) -> Any:
-        """Create a quaternion from a rotation matrix."""
-        w, x, y, z = map(float, quaternion_from_matrix(rotation))
-        return self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
-
-    def send(self, topic: str, kind: str, ns: int, **fields: Any) -> None:
+    def send(self, message: RosMessage) -> None:
         """Write a message."""
+        topic, kind = message.topic, message.kind
         if topic not in self._connections:
             connection = self._writer.add_connection(topic, kind, typestore=self._store)
             self._connections[topic] = connection
-        data = self._store.serialize_cdr(self.make(kind, **fields), kind)
-        self._writer.write(self._connections[topic], ns, data)
+        data = self._store.serialize_cdr(self._typed(kind, message.fields), kind)
+        self._writer.write(self._connections[topic], message.ns, data)
 
-    def send_transform(self, ns: int, child: str, pose: NDArray) -> None:
-        """Write the pose of a frame in the world."""
-        transform = self.make(
-            "geometry_msgs/msg/Transform",
-            translation=self.vector(pose[:3, 3]),
-            rotation=self.quaternion(pose[:3, :3]),
+    def _typed(self, kind: str, fields: Mapping[str, Any]) -> Any:
+        """Message of a type from plain fields."""
+        kinds = {name: _message_kind(field) for name, field in self._store.fielddefs[kind][1]}
+        return self._store.types[kind](
+            **{name: self._field(kinds[name], value) for name, value in fields.items()}
         )
-        stamped = self.make(
-            "geometry_msgs/msg/TransformStamped",
-            header=self.header(ns, "world"),
-            child_frame_id=child,
-            transform=transform,
-        )
-        self.send("/tf", "tf2_msgs/msg/TFMessage", ns, transforms=[stamped])
 
-    def send_pose(self, topic: str, ns: int, pose: NDArray) -> None:
-        """Write a pose in the world."""
-        plain = self.make(
-            "geometry_msgs/msg/Pose",
-            position=self.vector(pose[:3, 3], "Point"),
-            orientation=self.quaternion(pose[:3, :3]),
-        )
-        header = self.header(ns, "world")
-        self.send(topic, "geometry_msgs/msg/PoseStamped", ns, header=header, pose=plain)
+    def _field(self, kind: str, value: Any) -> Any:
+        if not kind:
+            return value
+        if isinstance(value, list):
+            return [self._typed(kind, one) for one in value]
+        return self._typed(kind, value)
+
+
+def _message_kind(field: Any) -> str:
+    """Type of the messages in a field, or in its sequence; empty for numbers and texts."""
+    inner = field[1]
+    while isinstance(inner, tuple) and isinstance(inner[0], tuple):  # a sequence or an array
+        inner = inner[0][1]
+    return inner if isinstance(inner, str) else ""
 
 
 def _write_frame(bag: _Bag, sequence: FrameSequence, advance: Advance, index: int) -> None:
-    camera, frame = sequence.camera, frame_of(sequence)
+    camera, ns = sequence.camera, time_ns(sequence.times[index])
     assert camera is not None
-    ns = time_ns(sequence.times[index])
-    bag.send_transform(ns, frame, sequence.Ts_world_camera[index])
-    header = bag.header(ns, frame)
-    info = _camera_info(bag, camera, sequence.name)
-    bag.send(f"/{camera.name}/camera_info", "sensor_msgs/msg/CameraInfo", ns, header=header, **info)
+    bag.send(transform_message(ns, frame_of(sequence), sequence.Ts_world_camera[index]))
+    bag.send(camera_info_message(ns, camera, sequence.name))
     for channel in stored_channels(sequence):
-        values = sequence.image(channel, index)
-        if CHANNELS[channel].encoding.is_mask:
-            values = CHANNELS[channel].encoding.encode(values)
-        values = np.ascontiguousarray(values)
-        encoding = "rgb8" if channel == "rgb" else _ENCODINGS[str(values.dtype)]
-        fields = {
-            "header": header,
-            "height": values.shape[0],
-            "width": values.shape[1],
-            "encoding": encoding,
-            "is_bigendian": 0,
-            "step": values.nbytes // values.shape[0],
-            "data": values.view(np.uint8).ravel(),
-        }
-        bag.send(f"/{camera.name}/{channel}", "sensor_msgs/msg/Image", ns, **fields)
+        bag.send(image_message(ns, camera.name, channel, sequence.image(channel, index)))
     advance()
-
-
-def _camera_info(bag: _Bag, camera: Camera, name: str) -> dict[str, Any]:
-    """Fields of a message `CameraInfo`; the pixel (0, 0) is the center of the first."""
-    lens = OpenCvLens.of(camera.lens, name)
-    (fx, fy), (cx, cy) = lens.focal, lens.center
-    k = np.array([fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
-    window = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
-    return {
-        "height": camera.height,
-        "width": camera.width,
-        "distortion_model": "equidistant" if lens.is_fisheye else "plumb_bob",
-        "d": np.array(lens.distortion, float),
-        "k": k,
-        "r": np.eye(3).ravel(),
-        "p": np.hstack([k.reshape(3, 3), np.zeros((3, 1))]).ravel(),
-        "binning_x": 0,
-        "binning_y": 0,
-        "roi": bag.make("sensor_msgs/msg/RegionOfInterest", **window),
-    }
 
 
 def _write_state(bag: _Bag, episode: Episode, index: int) -> None:
     """Write poses, sensors, joints and commands of a frame."""
-    columns, ns = episode.table.columns, time_ns(episode.times[index])
-
-    def vector(name: str) -> NDArray | None:
-        names = [name.format(axis) for axis in "xyz"]
-        if not set(names) <= set(columns):
-            return None
-        return np.array([columns[one][index] for one in names], float)
-
-    for body in ("capsule", "magnet"):
-        if f"{body}_qw" in columns:
-            pose = episode.table.poses(body)[index]
-            bag.send_transform(ns, body, pose)
-            bag.send_pose(f"/{body}/pose", ns, pose)
-    force, turn = vector("accelerometer_{}_m_per_s2"), vector("gyroscope_{}_rad_per_s")
-    own, unknown = bag.header(ns, "capsule"), np.zeros(9)
-    if force is not None and turn is not None:
-        fields = {
-            "header": own,
-            "orientation": bag.quaternion(np.eye(3)),
-            "orientation_covariance": np.array([-1.0, *[0.0] * 8]),  # it is not measured
-            "angular_velocity": bag.vector(turn),
-            "angular_velocity_covariance": unknown,
-            "linear_acceleration": bag.vector(force),
-            "linear_acceleration_covariance": unknown,
-        }
-        bag.send("/capsule/imu", "sensor_msgs/msg/Imu", ns, **fields)
-    if (flux := vector("magnetometer_{}_t")) is not None:
-        magnetic = {"magnetic_field": bag.vector(flux), "magnetic_field_covariance": unknown}
-        topic, kind = "/capsule/magnetometer", "sensor_msgs/msg/MagneticField"
-        bag.send(topic, kind, ns, header=own, **magnetic)
-    force, torque = vector("commanded_force_{}_n"), vector("commanded_torque_{}_nm")
-    if force is not None and torque is not None:
-        parts = {"force": bag.vector(force), "torque": bag.vector(torque)}
-        wrench = bag.make("geometry_msgs/msg/Wrench", **parts)
-        header = bag.header(ns, "world")
-        topic, kind = "/capsule/command", "geometry_msgs/msg/WrenchStamped"
-        bag.send(topic, kind, ns, header=header, wrench=wrench)
-    _write_joints(bag, columns, ns, index)
-
-
-def _write_joints(bag: _Bag, columns: Mapping[str, NDArray], ns: int, index: int) -> None:
-    """Write the angles of an arm, or the currents of coils."""
-    for topic, start, end, field in (
-        ("/joint_states", "joint_", "_rad", "position"),
-        ("/coils/joint_states", "coil_", "_current_a", "effort"),
-    ):
-        matching = [name for name in columns if name.startswith(start) and name.endswith(end)]
-        if not matching:
-            continue
-        values = {"position": np.zeros(0), "velocity": np.zeros(0), "effort": np.zeros(0)}
-        values[field] = np.array([columns[name][index] for name in matching], float)
-        names = [name.removesuffix(end) for name in matching]
-        header = bag.header(ns, "world")
-        bag.send(topic, "sensor_msgs/msg/JointState", ns, header=header, name=names, **values)
+    for message in state_messages(episode.table, index, episode.times[index]):
+        bag.send(message)
 
 
 @contextmanager

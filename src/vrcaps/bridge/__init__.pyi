@@ -1,0 +1,2 @@
+from .simulation import LiveSimulation as LiveSimulation
+from .simulation import open_bridge as open_bridge

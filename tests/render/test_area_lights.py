@@ -82,18 +82,18 @@ def _ring(radius: float = RADIUS) -> tuple[Led, ...]:
     return led_ring(6, 3.5 * MM, emitter_radius=radius)
 
 
-@pytest.mark.parametrize("radius", [0.5 * MM, 1.5 * MM])
-def test_penumbra_behind_a_half_plane(radius: float) -> None:
-    """The visible fraction is the integral over the part of the disc beyond the blocker's edge.
+def _half_plane(
+    radius: float, height: float, eye: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Visible fraction of an LED above a half-plane [h w], its closed form, and x on the floor [m].
 
     From the floor at x an LED at twice the blocker's height is seen where its own x is above −x:
     acos(t)/π − t √(1 − t²)/π of its area for t = −x over its radius.
     """
-    height = 10.0 * MM
-    led = Led((0.0, 0.0, -12.0 * MM), emitter_radius=radius)
+    led = Led((0.0, 0.0, eye - 2.0 * height), emitter_radius=radius)
     camera, state = (
         make_camera(pinhole(96, 0.9), leds=(led,)),
-        looking((0.0, 0.0, 8 * MM), (0, 0, -1)),
+        looking((0.0, 0.0, eye), (0, 0, -1)),
     )
     shaded = _radiance(make_model(_floor(_plain(), blocker=height), camera), camera, state)
     model = make_model(_floor(_plain()), camera)
@@ -105,7 +105,13 @@ def test_penumbra_behind_a_half_plane(radius: float) -> None:
     t = np.clip(-x / radius, -1.0, 1.0)
     closed = (np.arccos(t) - t * np.sqrt(1.0 - t * t)) / np.pi
     assert np.abs(closed - seen).max() < 2e-3
-    fraction = (shaded / free)[..., 0]
+    return (shaded / free)[..., 0], closed, x
+
+
+@pytest.mark.parametrize("radius", [0.5 * MM, 1.5 * MM])
+def test_penumbra_behind_a_half_plane(radius: float) -> None:
+    """The visible fraction is the integral over the part of the disc beyond the blocker's edge."""
+    fraction, closed, x = _half_plane(radius, 10.0 * MM, 8.0 * MM)
     assert ((fraction > 0.1) & (fraction < 0.9)).mean() > 0.5 * radius / (4.0 * MM)
     # The mean is a quadrature with 16 points; at the border of an image it lacks some of them.
     error, hard = np.abs(fraction - closed), np.abs((x > 0.0) - closed)
@@ -114,6 +120,37 @@ def test_penumbra_behind_a_half_plane(radius: float) -> None:
     assert abs((fraction - closed).mean()) < 0.2 * error.mean() + 1e-3
     assert (fraction[x < -1.5 * radius] == 0.0).all()
     np.testing.assert_allclose(fraction[x > 1.5 * radius], 1.0, rtol=1e-5)
+
+
+def test_penumbra_near_an_led() -> None:
+    """At 5 radii each pixel has the quadrature of its own point, so no error grows at edges."""
+    fraction, closed, x = _half_plane(RADIUS, 1.5 * MM, 1.2 * MM)
+    error, hard = np.abs(fraction - closed), np.abs((x > 0.0) - closed)
+    assert (hard > 0.1).mean() > 0.3
+    assert error.max() < 0.13  # steps of 1/16
+    assert error.mean() < 0.2 * hard.mean()
+    np.testing.assert_allclose(fraction * 16.0, np.round(fraction * 16.0), atol=1e-3)
+
+
+@pytest.mark.parametrize("height", [0.0, 0.3 * MM])
+def test_a_disc_partly_below_the_horizon_is_the_sum_of_its_points(height: float) -> None:
+    """An LED at a wall: the part of its disc beyond the wall neither lights nor counts."""
+    state = looking((-2.0 * MM, 0.0, 3.0 * MM), (1.0, 0.0, 0.0))
+    camera = make_camera(pinhole(180, 1.6))
+    T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
+    place = np.linalg.inv(T_world_camera) @ [0.0, 0.0, height, 1.0]
+    led = Led(tuple(place[:3].tolist()), emitter_radius=RADIUS)
+    images = []
+    for leds in ((led,), _as_points(led, 200), (replace(led, emitter_radius=0.0),)):
+        model = make_model(_floor(_plain()), make_camera(pinhole(180, 1.6), leds=leds))
+        images.append(_radiance(model, model.device.cameras[0], state)[..., 0])
+    disc, points, point = images
+
+    def error(image: np.ndarray) -> float:
+        return float(np.sqrt(np.mean((image - points) ** 2)) / points.mean())
+
+    assert error(disc) < 0.15 * error(point)
+    assert disc.sum() == pytest.approx(points.sum(), rel=0.08)  # 8 to 16 samples are above
 
 
 @pytest.mark.parametrize("distance", [3.0 * MM, 12.0 * MM])

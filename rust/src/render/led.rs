@@ -31,6 +31,16 @@ impl Led {
         add(scale(right, self.radius * x), scale(up, self.radius * y))
     }
 
+    /// Relative intensity at the cosine of an angle to its axis.
+    #[inline(always)]
+    pub fn lobe(&self, cosine: f32) -> f32 {
+        match self.exponent {
+            0.0 => 1.0,
+            1.0 => cosine,
+            m => pow(cosine, m),
+        }
+    }
+
     /// Area over π of the half vectors between a view and the disc, for a square distance [m²] and
     /// cosines of the angle to the LED's axis and between view and half vector.
     ///
@@ -79,7 +89,7 @@ pub fn on_disc([u, v]: [f32; 2]) -> [f32; 2] {
 /// Side of the square of pixels that hold each sample once.
 pub const PERIOD: usize = 4;
 /// Samples of a disc.
-const SAMPLES: usize = PERIOD * PERIOD;
+pub const SAMPLES: usize = PERIOD * PERIOD;
 
 /// Factor on the 16 samples that gives them the second moment of the disc, 1/2; without it they have
 /// 0.449.
@@ -109,6 +119,12 @@ pub fn disc_samples(led: &Led, number: usize) -> Lane3 {
         }
     }
     starts
+}
+
+/// A lane of `disc_samples` that holds sample `number`, in any order.
+#[inline(always)]
+pub fn sample_lane(number: usize) -> usize {
+    number / PERIOD * TILE + number % PERIOD
 }
 
 /// A point of the net in the unit square, those of four numbers in a row in one quarter.

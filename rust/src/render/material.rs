@@ -2,6 +2,7 @@
 //! diffuse base, a dielectric GGX lobe and a clearcoat.
 
 use crate::render::led::Led;
+use crate::render::near_disc::{NEAR, near_discs};
 use crate::simd::f32x64::*;
 use crate::wall::packet::MISS;
 use std::f32::consts::PI;
@@ -56,21 +57,27 @@ pub fn add_light(
     visible: &Lane,
     radiance: &mut Lane3,
 ) {
-    let Reflection { diffuse, specular, mut lobe } = if led.radius > 0.0 {
+    let mut reflection = if led.radius > 0.0 {
         reflect::<true>(surface, material, led)
     } else {
         reflect::<false>(surface, material, led)
     };
+    let share = if led.radius > 0.0 {
+        near_discs(surface, led, &mut reflection, visible)
+    } else {
+        [1.0; LANES]
+    };
+    let Reflection { diffuse, specular, mut lobe } = reflection;
     if led.exponent != 1.0 {
         for i in 0..LANES {
             lobe[i] = if led.exponent == 0.0 { 1.0 } else { pow(lobe[i], led.exponent) };
         }
     }
     for i in 0..LANES {
-        let power = lobe[i] * visible[i];
+        let (power, diffuse) = (lobe[i] * visible[i], diffuse[i] * share[i]);
         for k in 0..3 {
             radiance[k][i] +=
-                led.intensity[k] * power * (surface.albedo[k][i] * diffuse[i] + specular[i]);
+                led.intensity[k] * power * (surface.albedo[k][i] * diffuse + specular[i]);
         }
     }
 }
@@ -100,19 +107,15 @@ pub fn add_leaving(
 }
 
 /// Reflection of one LED's light by the wall.
-struct Reflection {
+pub struct Reflection {
     /// Reflected radiance per radiant intensity [1/m²], the part colored by the base; holds the
     /// cosine at the surface and the inverse square of the distance, as does the next.
-    diffuse: Lane,
+    pub diffuse: Lane,
     /// The part that is not colored.
-    specular: Lane,
+    pub specular: Lane,
     /// Cosine of the angle at which the light leaves the LED, at least 0.
-    lobe: Lane,
+    pub lobe: Lane,
 }
-
-/// Most that the square of an LED's radius counts over that of its distance, in the mean of diffuse
-/// light over the disc: the expansion is for small discs.
-const WIDEST: f32 = 0.25;
 
 #[inline(always)]
 fn reflect<const IS_DISC: bool>(surface: &Surface, material: &Material, led: &Led) -> Reflection {
@@ -131,7 +134,7 @@ fn reflect<const IS_DISC: bool>(surface: &Surface, material: &Material, led: &Le
         let (mut base, rest) =
             scatter::<IS_DISC>(&angles, spread, surface.roughness[i], material, &clearcoat);
         if IS_DISC {
-            let ratio = min(square_radius / square, WIDEST);
+            let ratio = min(square_radius / square, NEAR);
             base *= disc_mean(ratio, led, (dot(normal, led.direction), angles.light), cosine);
         }
         let falloff = if angles.light > 0.0 { 1.0 / square } else { 0.0 };
@@ -202,9 +205,6 @@ pub fn scatter<const IS_DISC: bool>(
     material: &Material,
     clearcoat: &Clearcoat,
 ) -> (f32, f32) {
-    let retro = 2.0 * roughness * angles.difference * angles.difference;
-    let (fl, fv) = (schlick(angles.light), schlick(angles.view));
-    let base = (1.0 - 0.5 * fl) * (1.0 - 0.5 * fv) + retro * (fl + fv + fl * fv * (retro - 1.0));
     let alpha = gloss_alpha(roughness);
     let density =
         if IS_DISC { ggx_disc(angles.half, alpha, spread) } else { ggx(angles.half, alpha) };
@@ -214,7 +214,16 @@ pub fn scatter<const IS_DISC: bool>(
         * smith(angles.light, alpha)
         / (4.0 * angles.view);
     let clearcoat_lobe = clearcoat.reflect::<IS_DISC>(angles, spread) * angles.light;
-    (base * angles.light * (1.0 / PI), gloss + clearcoat_lobe)
+    (diffuse_lobe(angles, roughness), gloss + clearcoat_lobe)
+}
+
+/// Diffuse reflectance for an albedo of 1 times the cosine at the surface [1/sr] (Burley 2012).
+#[inline(always)]
+pub fn diffuse_lobe(angles: &Angles, roughness: f32) -> f32 {
+    let retro = 2.0 * roughness * angles.difference * angles.difference;
+    let (fl, fv) = (schlick(angles.light), schlick(angles.view));
+    let base = (1.0 - 0.5 * fl) * (1.0 - 0.5 * fv) + retro * (fl + fv + fl * fv * (retro - 1.0));
+    base * angles.light * (1.0 / PI)
 }
 
 /// Weight (1 − cos θ)⁵ of Schlick's Fresnel term (1994).

@@ -10,6 +10,7 @@ pub mod lumen;
 mod lumen_tile;
 pub mod material;
 pub mod medium;
+mod near_disc;
 pub mod path;
 pub mod radiosity;
 pub mod ray_table;

@@ -4,7 +4,7 @@
 //! weight: where visibility varies evenly, a mean is the quadrature over all samples of the disc.
 //! Neighbors count if they lie near the tangent plane of the pixel's point at about its distance.
 
-use super::{LedVisibility, TilePoints};
+use super::{LedVisibility, TilePoints, lanes_of};
 use crate::simd::f32x64::*;
 
 /// Pixels beyond a tile that its means reach.
@@ -38,15 +38,9 @@ impl LedVisibility {
         let mut mixed = Vec::new();
         out.clear();
         for k in 0..self.num_leds {
-            let (mut lit, mut dark) = (0, 0);
-            for &(tile, mask) in &neighbors {
-                let bits = self.lit[tile * self.num_leds + k];
-                lit |= bits & mask;
-                dark |= !bits & mask;
-            }
-            let is_mixed = lit != 0 && dark != 0;
-            out.push(if lit != 0 && !is_mixed { [1.0; LANES] } else { [0.0; LANES] });
-            if is_mixed {
+            let uniform = self.uniform(&neighbors, k);
+            out.push([if uniform == Some(true) { 1.0 } else { 0.0 }; LANES]);
+            if uniform.is_none() {
                 mixed.push(k);
             }
         }
@@ -59,12 +53,29 @@ impl LedVisibility {
             let bits = |tile: usize| self.lit[tile * self.num_leds + k];
             let lit = self.padded_bits((row, column), bits);
             out[k] = mean(&weights, &lit);
+            if let Some((near, fraction)) = self.near[own * self.num_leds + k].as_deref() {
+                for (i, is_near) in lanes_of(*near).into_iter().enumerate() {
+                    out[k][i] = if is_near { fraction[i] } else { out[k][i] };
+                }
+            }
         }
+    }
+
+    /// Whether LED `k` lights all lanes of a tile and of its margin, or none; None if it varies.
+    #[inline(always)]
+    pub fn uniform(&self, neighbors: &[(usize, u64)], k: usize) -> Option<bool> {
+        let (mut lit, mut dark) = (0, 0);
+        for &(tile, mask) in neighbors {
+            let bits = self.lit[tile * self.num_leds + k];
+            lit |= bits & mask;
+            dark |= !bits & mask;
+        }
+        if lit != 0 && dark != 0 { None } else { Some(lit != 0) }
     }
 
     /// Tiles around a tile and itself, each with a bit for its used lanes within the margin.
     #[inline(always)]
-    fn neighbors(&self, row: usize, column: usize) -> Vec<(usize, u64)> {
+    pub fn neighbors(&self, row: usize, column: usize) -> Vec<(usize, u64)> {
         let rows = self.points.len() / self.columns;
         let mut found = Vec::with_capacity(9);
         for (dy, y_mask) in [(0, 0xffff << 48), (1, u64::MAX), (2, 0xffff)] {

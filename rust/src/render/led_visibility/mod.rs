@@ -3,12 +3,14 @@
 //! 1. One pixel of each two by two traces a ray to a sample of each LED's disc. Where the
 //!    rays to an LED are all free, or none, in and around a tile, that holds for the tile.
 //! 2. Elsewhere each pixel traces a ray to its own sample. Samples repeat every four pixels.
-//! 3. A pixel takes the mean over its neighbors on the same surface, see `filter`.
+//! 3. A pixel takes the mean over its neighbors on the same surface, see `filter`; near an LED it
+//!    traces rays to all samples instead, see `near_discs`.
 //!
 //! Nothing is random: neighbors have different samples, and each mean has all of them.
 
 mod filter;
 mod half_resolution;
+mod near_discs;
 
 use crate::render::led::{Led, disc_samples};
 use crate::render::ray_table::TileRays;
@@ -18,6 +20,7 @@ use crate::wall::Wall;
 use crate::wall::bundle::{RAYS, lit_by};
 use crate::wall::disc_visibility::{DiscRays, visible_from_disc};
 use half_resolution::{Blocks, block_row};
+use near_discs::NearLanes;
 use rayon::prelude::*;
 
 /// Rows and columns of tiles in a block, whose pixels of half the resolution make a tile.
@@ -48,6 +51,8 @@ pub struct LedVisibility {
     points: Vec<TilePoints>,
     /// For each tile and each LED, a bit for each lane whose ray is free.
     lit: Vec<u64>,
+    /// Visible fractions of near LEDs, for each tile and each LED.
+    near: Vec<NearLanes>,
 }
 
 /// Surfaces visible in some rows of tiles, and the LEDs that light them.
@@ -120,7 +125,9 @@ impl<S: Send + Sync> Strip<S> {
             })
             .collect();
         let (lit, num_leds) = (lit.concat(), samples.leds.len());
-        Strip { seen, visibility: LedVisibility { columns, num_leds, points, lit } }
+        let mut visibility = LedVisibility { columns, num_leds, points, lit, near: Vec::new() };
+        visibility.sample_near_discs(renderer, samples, tiles);
+        Strip { seen, visibility }
     }
 }
 

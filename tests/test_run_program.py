@@ -55,3 +55,17 @@ def test_a_file_has_its_folder_arguments_and_strict_warnings(tmp_path: Path) -> 
     assert sorted(lines[:2]) == [f"__main__ beside {tmp_path} --a b", "thread"]
     assert lines[2:] == ["end"]
     assert run_program(program, folder=tmp_path, warnings="__main__").returncode == 1
+
+
+def test_a_program_starts_others_with_its_folder_and_streams(tmp_path: Path) -> None:
+    code = (
+        "import os\n"
+        "from tests.support.program_server import Child\n"
+        "child = Child()\n"
+        "print('first', flush=True)\n"
+        "other = 'import os, sys; print(os.getcwd(), *sys.argv[1:], name()); sys.exit(3)'\n"
+        "setup = 'import builtins; builtins.name = lambda: 5'\n"
+        "print(child.run(other, 'a', setup=setup, timeout=60.0))\n"
+    )
+    result = run_program(code, folder=tmp_path)
+    assert result.stdout.splitlines() == ["first", f"{tmp_path} a 5", "3"], result.stderr

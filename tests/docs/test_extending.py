@@ -28,7 +28,7 @@ REGISTRIES = (ACTUATIONS, ENV_TASKS, FORMATS, LESIONS, MOTIONS, OBSERVATIONS, RE
 
 
 @pytest.fixture(autouse=True)
-def without_registered_classes(monkeypatch: pytest.MonkeyPatch) -> None:
+def without_registered_classes(coarse_organs: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Remove the classes of each program, so that other tests see the package's own."""
     for registry in REGISTRIES:
         monkeypatch.setattr(registry, "_added", {})

@@ -1,4 +1,7 @@
-"""Tutorial notebooks run, with small parameters here and with their own in `make notebooks`."""
+"""Tutorial notebooks run, here with small parameters and coarse organs.
+
+`make notebooks` runs them as they are.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.notebooks import run_notebook
-from tests.support.waiting import WATCHDOG
+from tests.support.notebooks import run_notebook, run_smoke
 
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "docs" / "tutorials").glob("*.ipynb"))
 MAX_SECONDS = 600.0
@@ -30,12 +32,22 @@ def test_a_notebook_is_small_and_has_smoke_parameters(path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("coarse_organs")
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_with_small_parameters(path: Path, tmp_path: Path) -> None:
-    run_notebook(path, tmp_path, smoke=True, timeout=WATCHDOG)
+    run_smoke(path, tmp_path)
+
+
+@pytest.mark.slow
+def test_a_command_of_a_notebook_that_fails_is_reported(tmp_path: Path) -> None:
+    code = {"cell_type": "code", "metadata": {}, "source": ["!vrcaps organ make liver --out a.glb"]}
+    path = tmp_path / "broken.ipynb"
+    path.write_text(json.dumps({"cells": [code], "metadata": {"vrcaps": {"smoke": {}}}}), "utf-8")
+    with pytest.raises(AssertionError, match=r"No organ named 'liver'[^$]*Failed: vrcaps organ"):
+        run_smoke(path, tmp_path)
 
 
 @pytest.mark.notebook
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_as_it_is(path: Path, tmp_path: Path) -> None:
-    run_notebook(path, tmp_path, smoke=False, timeout=MAX_SECONDS)
+    run_notebook(path, tmp_path, timeout=MAX_SECONDS)

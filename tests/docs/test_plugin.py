@@ -79,6 +79,7 @@ print(observations["velocity"].shape, rewards.shape, bool((rewards <= 0.0).all()
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("coarse_organs")
 def test_an_environment_has_the_parts_by_name(site: Path) -> None:
     path = os.pathsep.join([str(site), *sys.path])
     result = run_program(ROLLOUT, environment={"PYTHONPATH": path})

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.coarse_organs import COARSE_BAKING
 from tests.support.programs import run_program
 
 ROOT = Path(__file__).parents[2]
@@ -139,10 +140,12 @@ def program_of(page: str) -> str:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("coarse_organs")
 @pytest.mark.parametrize("page", PAGES)
 def test_the_programs_of_a_page_run(page: str, tmp_path: Path) -> None:
     (tmp_path / "program.py").write_text(program_of(page), encoding="utf-8")
     path = os.pathsep.join([str(ROOT), *sys.path])
     program = tmp_path / "program.py"
-    result = run_program(program, folder=tmp_path, environment={"PYTHONPATH": path})
+    environment = {"PYTHONPATH": path}
+    result = run_program(program, folder=tmp_path, environment=environment, setup=COARSE_BAKING)
     assert result.returncode == 0, result.stderr[-3000:]

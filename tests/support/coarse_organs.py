@@ -23,12 +23,13 @@ vrcaps.mucosa.bake.DEFAULT_TEXELS_PER_MM = {TEXELS_PER_MM}
 """
 """Statements for the beginning of a program."""
 
+_PLAN = (101_010_639, 125_018_573, 458_834_840)  # first patients of a plan of seed 0
 _NAMES = {
-    "colon": ((0, None), (0, "normal"), (3, None)),
-    "stomach": ((0, None), (0, "inflated")),
+    "colon": ((0, None), (0, "normal"), (1, None), (3, None)),
+    "stomach": ((0, "inflated"), *((seed, None) for seed in (0, 1, 2, 3, 100, *_PLAN))),
     "small-bowel": ((0, None),),
 }
-"""Seeds and distensions of the organs of examples and of the front page."""
+"""Seeds and distensions of the organs of pages, notebooks and examples."""
 
 
 def fill_cache(folder: Path) -> None:

@@ -8,6 +8,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tests.support.coarse_organs import COARSE_BAKING
+from tests.support.programs import run_program
+from tests.support.waiting import WATCHDOG
+
 PREAMBLE = """
 import subprocess, sys, warnings
 warnings.filterwarnings("error", module="vrcaps|__main__")
@@ -15,6 +19,22 @@ def _shell(line):
     if subprocess.run(line, shell=True).returncode:
         sys.exit(f"Failed: {line}")
 """
+SMOKE_PREAMBLE = f"""
+import shlex, sys, warnings
+from tests.support.program_server import Child
+_server = Child()
+{COARSE_BAKING}
+warnings.filterwarnings("error", module="vrcaps|__main__")
+def _shell(line):
+    program, *arguments = shlex.split(line)
+    assert program == "vrcaps", line
+    code = "from vrcaps.cli import main; main()"
+    sys.stdout.flush()
+    if _server.run(code, *arguments, setup={COARSE_BAKING!r}, timeout={WATCHDOG}):
+        sys.exit(f"Failed: {{line}}")
+"""
+"""Runs `vrcaps` without the start-up time of an interpreter, with coarse textures."""
+
 LAUNCHER = "#!{python}\nfrom vrcaps.cli import main\nif __name__ == '__main__':\n    main()\n"
 
 
@@ -26,7 +46,7 @@ def program_of(path: Path, *, smoke: bool) -> str:
         smoke: Whether the values in the notebook's metadata replace those of its cell `parameters`.
     """
     notebook = json.loads(path.read_text("utf-8"))
-    cells = [PREAMBLE]
+    cells = [SMOKE_PREAMBLE if smoke else PREAMBLE]
     for cell in notebook["cells"]:
         if cell["cell_type"] != "code":
             continue
@@ -43,8 +63,19 @@ def _line(line: str) -> str:
     return f"_shell(f{line[1:].strip()!r})\n" if line.startswith("!") else line
 
 
-def run_notebook(path: Path, folder: Path, *, smoke: bool, timeout: float) -> str:
-    """Run a notebook in a folder; return the printed text.
+def run_smoke(path: Path, folder: Path) -> None:
+    """Run a notebook with its smaller parameters and coarse textures in a folder.
+
+    Raises:
+        AssertionError: If a cell fails; with the error messages.
+    """
+    code = program_of(path, smoke=True)
+    result = run_program(code, folder=folder, environment={"MPLBACKEND": "agg"})
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+def run_notebook(path: Path, folder: Path, *, timeout: float) -> None:
+    """Run a notebook as it is in a folder.
 
     Raises:
         AssertionError: If a cell fails; with the error messages.
@@ -55,7 +86,7 @@ def run_notebook(path: Path, folder: Path, *, smoke: bool, timeout: float) -> st
     launcher.write_text(LAUNCHER.format(python=sys.executable))
     launcher.chmod(0o755)
     program = folder / f"{path.stem}.py"
-    program.write_text(program_of(path, smoke=smoke), encoding="utf-8")
+    program.write_text(program_of(path, smoke=False), encoding="utf-8")
     environment = {
         **os.environ,
         "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}",
@@ -71,4 +102,3 @@ def run_notebook(path: Path, folder: Path, *, smoke: bool, timeout: float) -> st
         check=False,
     )
     assert result.returncode == 0, result.stdout + result.stderr
-    return result.stdout

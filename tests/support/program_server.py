@@ -18,7 +18,7 @@ import threading
 import traceback
 import types
 import warnings
-from typing import Any
+from typing import Any, TextIO
 
 PACKAGES = (
     "numpy",
@@ -92,7 +92,8 @@ def fork(job: dict[str, Any]) -> int:
     if child == 0:
         status = 1
         try:
-            redirect(job["stdout"], job["stderr"])
+            if "stdout" in job:
+                redirect(job["stdout"], job["stderr"])
             status = run(job)
         finally:
             end(status)
@@ -118,12 +119,54 @@ def end(status: int) -> None:
     os._exit(status)
 
 
+def serve(jobs: TextIO, answers: TextIO) -> None:
+    """Answer until there are no more jobs."""
+    for line in jobs:
+        answers.write(f"{fork(json.loads(line))}\n")
+        answers.flush()
+
+
+class Child:
+    """Server in a fork of this process, for a program that starts others."""
+
+    def __init__(self) -> None:
+        """Fork; call it before packages of the project are loaded and threads are started."""
+        jobs, answers = os.pipe(), os.pipe()
+        self._pid = os.fork()
+        if self._pid == 0:
+            os.close(jobs[1])
+            with os.fdopen(jobs[0]) as given, os.fdopen(answers[1], "w") as told:
+                serve(given, told)
+            os._exit(0)
+        os.close(jobs[0])
+        os.close(answers[1])
+        self._jobs, self._answers = os.fdopen(jobs[1], "w"), os.fdopen(answers[0])
+        atexit.register(self._stop)
+
+    def run(self, code: str, *arguments: str, setup: str, timeout: float) -> int:
+        """Run code with the folder, environment and streams of this process; its exit status."""
+        job = {
+            "code": code,
+            "arguments": ["-c", *arguments],
+            "folder": os.getcwd(),
+            "environment": dict(os.environ),
+            "warnings": "",
+            "setup": setup,
+            "timeout": timeout,
+        }
+        self._jobs.write(f"{json.dumps(job)}\n")
+        self._jobs.flush()
+        return int(self._answers.readline())
+
+    def _stop(self) -> None:
+        self._jobs.close()
+        os.waitpid(self._pid, 0)
+
+
 def main() -> None:
-    """Answer until standard input ends."""
+    """Load packages, then answer until standard input ends."""
     load()
-    for line in sys.stdin:
-        sys.stdout.write(f"{fork(json.loads(line))}\n")
-        sys.stdout.flush()
+    serve(sys.stdin, sys.stdout)
 
 
 if __name__ == "__main__":

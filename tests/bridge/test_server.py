@@ -149,9 +149,9 @@ def test_pages_of_other_sites_are_refused(port):
 
 def test_a_client_that_floods_is_disconnected_and_the_others_stay(port, client, told):
     told.clear()
-    with connect(f"ws://127.0.0.1:{port}") as socket, pytest.raises(ConnectionClosed, match="1008"):
+    with connect(f"ws://127.0.0.1:{port}") as socket, pytest.raises(ConnectionClosed):
         for _ in range(100_000):
-            socket.send("{}")
+            socket.send('{"op": "unsubscribe", "topic": "/clock"}')  # it has no answer
     wait_until(lambda: told)
     assert re.fullmatch(r"Client \d+ was disconnected: it sent too much\.", told[0])
     with connect(f"ws://127.0.0.1:{port}") as socket:

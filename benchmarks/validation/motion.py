@@ -1,32 +1,50 @@
 """Claim: the motion of `sfm` beats a static camera, a constant velocity and classical odometry.
 
-Trajectories of unseen patients, estimated from images alone. The classical methods match SIFT
-features of consecutive frames, by OpenCV. One is the essential matrix by RANSAC; its translation
-gets the scale that the distances of the network give to the triangulated features. The other is P3P
-by RANSAC, from the features' positions at the distances of the network. A frame without enough
-matches repeats the previous motion. The constant velocity is the mean true motion of each sequence,
-which favors it.
+Trajectories estimated from images alone. `sfm` aligns each pair of frames directly, from the motion
+of its network; `sfm, network alone` is that motion, and `direct alignment` starts from no motion
+instead. The classical methods match SIFT features of consecutive frames, by OpenCV. One is the
+essential matrix by RANSAC; its translation gets the scale that the distances of the network give to
+the triangulated features. The other is P3P by RANSAC, from the features' positions at the distances
+of the network. A frame without enough matches repeats the previous motion. All use the same
+distances. The constant velocity is the mean true motion of each sequence, which favors it. The
+previous true step is a constant velocity in the sense of filters: it knows the truth up to the
+frame before, so the positions that it leads to say nothing.
 
-    python -m benchmarks.validation.motion --data DATASET --weights FILE [--split SPLIT]
+    python -m benchmarks.validation.motion --data DATASET [--split SPLIT] [--weights FILE]
+        [--sinus FOLDER]
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import copy
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from benchmarks.common.scripts import parser, table, write_section
-from vrcaps.core.geometry import invert, transform_from
+from vrcaps.camera.camera import Camera
+from vrcaps.camera.lens import LensPinhole
+from vrcaps.core.geometry import invert, matrix_from_quaternion, transform_from
+from vrcaps.core.units import CM
 from vrcaps.formats.io import read_sources
+from vrcaps.formats.shared.stored_images import read_rgb
+from vrcaps.formats.shared.text_files import read_yaml
 from vrcaps.learn.checkpoint import TrainedNetwork, read_weights
 from vrcaps.learn.evaluation import bootstrapped_errors
 from vrcaps.learn.motion_errors import motion_baselines, motion_errors
+from vrcaps.learn.motion_solver import STRIDE, Flow
+from vrcaps.learn.motion_steps import common_region
+from vrcaps.learn.picture_border import part_of
+from vrcaps.learn.samples import frame_groups
 from vrcaps.learn.tasks.sfm import SfmTask
-from vrcaps.recording.frame_sequence import FrameSequence
+from vrcaps.metrics.bootstrap import bootstrap
+from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.tools.reconstruction.estimates import with_network_depth
 from vrcaps.tools.reconstruction.fusion.odometry import OdometrySettings, feature_views
 from vrcaps.tools.reconstruction.fusion.pose_adjustment import View, pose_pair
@@ -35,6 +53,8 @@ from vrcaps.tools.reconstruction.matching import matches, opencv
 TOLERANCE_PX = 2.0
 """Maximum distance of an inlier from its predicted position."""
 MIN_INLIERS = 12
+_WINDOW = 7
+"""Frames of a window; neighboring windows share one."""
 HEAD = ("method", "ATE [mm]", "step, translation [mm]", "step, rotation [°]", "direction, cosine")
 _UNITS = {"ate": 1e3, "rpe_translation": 1e3, "rpe_rotation": 180.0 / np.pi, "direction": 1.0}
 
@@ -43,40 +63,175 @@ Step = Callable[[View, View, float], np.ndarray | None]
 
 
 def main() -> None:
-    """Estimate the trajectories, write the table."""
+    """Estimate the trajectories, write the tables."""
     made = parser(__doc__ or "")
     made.add_argument("--data", required=True, help="data set with video and poses")
-    made.add_argument("--weights", required=True, help="weights of sfm")
+    made.add_argument("--weights", default="sfm", help="weights of sfm; by default the published")
     made.add_argument("--split", default="", help="split of the data; by default all")
+    made.add_argument("--sinus", type=Path, help="folder of the sinus data")
     given = made.parse_args()
     trained = read_weights(given.weights, task="sfm")
     sequences = [s for s in read_sources([given.data]) if given.split in ("", s.split)]
-    rows = [errors_of(trained, one) for one in sequences]
-    found, groups = bootstrapped_errors(rows, sequences)
+    parts: dict[str, list[FrameSequence]] = {"All": sequences}
+    for one in sequences:
+        parts.setdefault("Moving wall" if is_moving(one) else "Frozen wall", []).append(one)
+    errors = {one.name: errors_of(trained, one) for one in sequences}
+    tables = [_table(name, [errors[one.name] for one in own], own) for name, own in parts.items()]
+    if given.sinus is not None:
+        tables.extend(_sinus_tables(trained, read_sinus_sequence(given.sinus)))
+    text = f"""## Motion
+
+{" ".join((__doc__ or "").split("    python")[0].split())} ATE after the best similarity, steps
+without alignment; means over sequences with 95 % intervals.
+
+{"".join(tables)}"""
+    write_section(given.out, Path(__file__), text.rstrip())
+
+
+def _table(
+    name: str, rows: Sequence[Mapping[str, Mapping[str, float]]], sequences: Sequence[FrameSequence]
+) -> str:
+    """Section of a table of some sequences."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # the mean of no known value
+        found, groups = bootstrapped_errors(rows, sequences)
     lines = [
         [method, *(_cell(scores[name], unit) for name, unit in _UNITS.items())]
         for method, scores in found.items()
     ]
-    text = f"""## Motion
+    count = sum(map(len, sequences))
+    head = f"**{name}**: {count} frames; intervals over {groups}."
+    return f"{head}\n\n{table(HEAD, lines)}\n\n{_ratios(rows, sequences)}\n\n"
 
-{" ".join((__doc__ or "").split("    python")[0].split())} {len(sequences)} sequences of
-{sum(map(len, sequences))} frames; 95 % intervals over {groups}. ATE after the best similarity,
-steps without alignment.
 
-{table(HEAD, lines)}"""
-    write_section(given.out, Path(__file__), text)
+def _ratios(
+    rows: Sequence[Mapping[str, Mapping[str, float]]], sequences: Sequence[FrameSequence]
+) -> str:
+    """Mean ATE of `sfm` relative to that of the other methods, with intervals."""
+    groups = np.array(frame_groups([(one, 0) for one in sequences])[0])
+    ratios = []
+    for name in rows[0]:
+        own, other = (np.array([row[one]["ate"] for row in rows]) for one in ("sfm", name))
+        if name == "sfm" or not np.isfinite(other).all():
+            continue
+
+        def ratio(items: np.ndarray, own: np.ndarray = own, other: np.ndarray = other) -> float:
+            return float(own[items].mean() / other[items].mean())
+
+        found = bootstrap(ratio, len(rows), groups=groups)
+        ratios.append(f"{name} {found.value:.2f} [{found.low:.2f}, {found.high:.2f}]")
+    return f"ATE of `sfm` relative to that of others: {', '.join(ratios)}."
+
+
+def _sinus_tables(trained: TrainedNetwork, sequence: FrameSequence) -> list[str]:
+    """Tables of the whole sequence and of its windows; each baseline is fitted to each of them."""
+    found = estimates_of(trained, sequence)
+    truth = sequence.Ts_world_camera
+    whole = errors_of_estimates(found, truth)
+    starts = range(0, len(sequence) - _WINDOW + 1, _WINDOW - 1)
+    windows, rows = [], []
+    for number, start in enumerate(starts):
+        part = slice(start, start + _WINDOW)
+        cut = {name: poses[part] for name, poses in found.items()}
+        rows.append(errors_of_estimates(cut, truth[part]))
+        window = sequence.subset(range(start, start + _WINDOW))
+        windows.append(replace(window, name=f"{sequence.name}-{number}"))
+    note = "unit of length: that of the structure from motion, as 1 cm"
+    return [
+        _table(f"Sinus endoscopy, whole sequence ({note})", [whole], [sequence]),
+        _table(f"Sinus endoscopy, windows of {_WINDOW} frames ({note})", rows, windows),
+    ]
+
+
+def is_moving(sequence: FrameSequence) -> bool:
+    """Whether gas moves the wall of a recording."""
+    return bool(getattr(sequence.episode.scenario.motion, "insufflation", ()))
+
+
+def read_sinus_sequence(folder: Path) -> FrameSequence:
+    """Frames of the sinus data within their black border, with the poses of structure from motion.
+
+    A unit of length counts as a centimeter.
+    """
+    views = [int(line) for line in (folder / "visible_view_indexes").read_text().split()]
+    images = [read_rgb(folder / f"{view:08d}.jpg") for view in views]
+    numbers = np.array((folder / "camera_intrinsics_per_view").read_text().split(), float)
+    height, width = images[0].shape[:2]
+    fx, fy, cx, cy = numbers[:4] * (0.5 if numbers[2] > 0.75 * width else 1.0)
+    poses = read_yaml(folder / "motion.yaml")["poses[]"]
+    Ts = []
+    for number in range(len(views)):
+        place, turn = (poses[f"poses[{number}]"][name] for name in ("position", "orientation"))
+        rotation = matrix_from_quaternion(np.array([float(turn[axis]) for axis in "wxyz"]))
+        Ts.append(transform_from(rotation, CM * np.array([float(place[axis]) for axis in "xyz"])))
+    values = {TIME: np.arange(len(views)) / 30.0, CAMERA_POSE: np.stack(Ts)}
+    camera = Camera("sinus", LensPinhole(fx=fx, fy=fy, cx=cx, cy=cy), width, height)
+    whole = FrameSequence(
+        "sinus", ("rgb",), values, lambda channel, index: images[index], camera=camera
+    )
+    rows, columns = common_region(whole, np.arange(len(views)))
+    return replace(
+        whole,
+        camera=part_of(camera, rows, columns),
+        load=lambda channel, index: np.ascontiguousarray(images[index][rows, columns]),
+    )
 
 
 def errors_of(trained: TrainedNetwork, sequence: FrameSequence) -> dict[str, dict[str, float]]:
     """Errors of each method on a sequence."""
-    task, truth = trained.task, sequence.Ts_world_camera
+    return errors_of_estimates(estimates_of(trained, sequence), sequence.Ts_world_camera)
+
+
+def estimates_of(trained: TrainedNetwork, sequence: FrameSequence) -> dict[str, np.ndarray]:
+    """Trajectory [n 4 4] of each method."""
+    task, network = trained.task, trained.network
     assert isinstance(task, SfmTask)
-    found = {"sfm": task.trajectory(trained.network, sequence).Ts_world_camera}
+    still = copy.copy(network)
+    still._modules = {**network._modules, "moves": NoFlow()}
+    alone = replace(task, aligns=False)
+    found = {
+        "sfm": task.trajectory(network, sequence).Ts_world_camera,
+        "sfm, network alone": alone.trajectory(network, sequence).Ts_world_camera,
+        "direct alignment": task.trajectory(still, sequence).Ts_world_camera,
+    }
     views, pitch = feature_views(with_network_depth(sequence, trained), OdometrySettings())
     found["essential matrix"] = chain(views, pitch, essential_step)
     found["P3P"] = chain(views, pitch, p3p_step)
-    found |= motion_baselines(truth)
-    return {name: motion_errors(poses, truth) for name, poses in found.items()}
+    return found
+
+
+def errors_of_estimates(
+    found: Mapping[str, np.ndarray], truth: np.ndarray
+) -> dict[str, dict[str, float]]:
+    """Errors of estimated trajectories and of the baselines."""
+    errors = {
+        name: motion_errors(poses, truth)
+        for name, poses in {**found, **motion_baselines(truth)}.items()
+    }
+    repeated = {"ate": float("nan")}
+    return {**errors, "previous true step": motion_errors(extrapolated(truth), truth) | repeated}
+
+
+def extrapolated(truth: np.ndarray) -> np.ndarray:
+    """Trajectory [n 4 4] whose steps are those before; the first is none."""
+    steps = invert(truth[:-1]) @ truth[1:]
+    poses = [np.eye(4)]
+    for step in [np.eye(4), *steps[:-1]]:
+        poses.append(poses[-1] @ step)
+    return np.stack(poses)
+
+
+class NoFlow(torch.nn.Module):
+    """Motion network that estimates no flow, for alignment without a start."""
+
+    def encode(self, image: torch.Tensor) -> torch.Tensor:
+        """Return no features."""
+        return image[:, :0]
+
+    def flow(self, own: torch.Tensor, there: torch.Tensor, ray: torch.Tensor) -> Flow:
+        """Return a flow of zero."""
+        side = ray.shape[-1] // STRIDE
+        return Flow(ray.new_zeros(len(ray), 2, side, side), ray.new_ones(len(ray), 1, side, side))
 
 
 def chain(views: list[View], pitch: float, step: Step) -> np.ndarray:
@@ -121,8 +276,10 @@ def essential_step(one: View, other: View, tolerance: float) -> np.ndarray | Non
     return transform_from(rotation, shift[:, 0] * float(np.median(known / triangulated)))
 
 
-def _cell(values: tuple[float, float, float], unit: float) -> str:
+def _cell(values: Sequence[float], unit: float) -> str:
     value, low, high = (unit * one for one in values)
+    if not np.isfinite(value):
+        return "–"
     return f"{value:.3g} [{low:.3g}, {high:.3g}]"
 
 

@@ -71,7 +71,7 @@ def test_a_constant_network_is_found() -> None:
         require_responses(untrained)
     video = SfmTask(backbone=Backbone(32))
     network = video.network(is_pretrained=False).eval()
-    for value in network.moves.head[-1].parameters():
+    for value in network.moves.features[-1].parameters():
         torch.nn.init.zeros_(value)
     with pytest.raises(InputError, match="motion 0 changes by"):
         require_responses(TrainedNetwork(video, network, {}))

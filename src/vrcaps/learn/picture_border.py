@@ -194,7 +194,7 @@ def tissue_view(
     part = np.ascontiguousarray(image[rows, columns])
     foreign = inserts(part)
     if camera is not None:
-        camera = _part_of(camera, rows, columns)
+        camera = part_of(camera, rows, columns)
     elif field_of_view is not None:
         camera = assumed_camera(part.shape[1], part.shape[0], field_of_view)
     is_insert = foreign & (foreign.mean() < _MAX_INSERT)
@@ -289,7 +289,7 @@ def tissue_mask(height: int, width: int, overlays: tuple[Overlay, ...]) -> Bool[
     return mask
 
 
-def _part_of(camera: Camera, rows: slice, columns: slice) -> Camera:
+def part_of(camera: Camera, rows: slice, columns: slice) -> Camera:
     """Camera that sees some rows and columns of a camera's images."""
     width, height = columns.stop - columns.start, rows.stop - rows.start
     if (width, height) == (camera.width, camera.height):

@@ -26,7 +26,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, ClassVar, cast
 
 import numpy as np
@@ -48,15 +47,14 @@ from vrcaps.learn.losses import (
     smoothness,
     synthesize_view,
 )
+from vrcaps.learn.motion_augment import cropped, mirrored, transposed
 from vrcaps.learn.motion_errors import motion_baselines, motion_errors
 from vrcaps.learn.motion_loss import MIN_COSINE, distances_of, flow_error, motion_error, true_flow
-from vrcaps.learn.motion_network import (
-    Flow,
-    MotionNetwork,
-    motion_from_flow,
-)
+from vrcaps.learn.motion_network import MotionNetwork
+from vrcaps.learn.motion_solver import motion_from_flow
+from vrcaps.learn.motion_steps import Encoded, Region, common_region, step_between
 from vrcaps.learn.networks import Backbone
-from vrcaps.learn.picture_border import LENS_NEEDED
+from vrcaps.learn.picture_border import LENS_NEEDED, part_of
 from vrcaps.learn.samples import batch_of
 from vrcaps.learn.task import MAX_WEIGHT, BackboneTask, Batch, Losses, Metric, Sample, total
 from vrcaps.learn.tasks.depth import (
@@ -101,6 +99,9 @@ class SfmTask(BackboneTask[DepthTerms | None]):
         has_light_cue: Whether the light cue of `depth` is an input of the network of distances.
         trains_distances: Whether the network of distances is trained; otherwise it keeps its
             initial weights, such as those of `--start depth`, and training is four times as fast.
+        min_crop: Minimum side of a random crop, relative to the image, in training by labels alone.
+        aligns: Whether the motion of the network is the start of a direct alignment, see
+            `alignment`; otherwise it is the result. Training does not depend on it.
     """
 
     backbone: Backbone = field(default_factory=Backbone)
@@ -112,6 +113,8 @@ class SfmTask(BackboneTask[DepthTerms | None]):
     supervision: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.0
     has_light_cue: bool = True
     trains_distances: bool = True
+    min_crop: Annotated[float, Range(above=0.0, max=1.0)] = 0.5
+    aligns: bool = True
 
     kind: ClassVar[str] = "sfm"
     pipeline_tag: ClassVar[str] = "depth-estimation"
@@ -155,7 +158,8 @@ class SfmTask(BackboneTask[DepthTerms | None]):
                 sample[f"T_{name}_own"] = (invert(other) @ own).astype(np.float32)
         if "depth" in sequence.channels:
             sample["depth"] = letterbox.nearest(sequence.image("depth", index), np.nan)
-        return {**sample, "view": (letterbox, sequence.camera)}
+        sample["view"] = (letterbox, sequence.camera)
+        return {**sample, **(_true_flows(sample) if self.supervision > 0.0 else {})}
 
     def inputs(
         self, image: UInt8[np.ndarray, "h w 3"], letterbox: Letterbox, camera: Camera | None
@@ -168,11 +172,24 @@ class SfmTask(BackboneTask[DepthTerms | None]):
         return image_and_rays(image, letterbox, camera)
 
     def augment(self, sample: Sample, rng: np.random.Generator) -> Sample:
-        """Apply the same change of exposure, white balance and gamma to all three frames."""
+        """Apply the same change of exposure, white balance and gamma to all three frames.
+
+        With labels alone, also crop, mirror and transpose them.
+        """
+        if self._is_geometry_free:
+            sample = cropped(sample, self.min_crop, rng) if rng.random() < 0.5 else sample
+            for axis in (0, 1):
+                sample = mirrored(sample, axis) if rng.random() < 0.5 else sample
+            sample = transposed(sample) if rng.random() < 0.5 else sample
         gain = 1.2 ** rng.uniform(-1.0, 1.0) * rng.uniform(0.95, 1.05, 3)
         gamma = rng.uniform(0.9, 1.1)
         changed = {n: with_gain(sample[n], gain, gamma) for n in ("image", *_NEIGHBORS)}
         return sample | changed
+
+    @property
+    def _is_geometry_free(self) -> bool:
+        """Whether the loss projects no points by the lens of the whole image."""
+        return self.photometric_weight == 0.0 and self.geometry_weight == 0.0
 
     def network(self, *, is_pretrained: bool) -> nn.Module:
         """Create a network from batches to ln(distance / 30 mm) [b 1 s s], and motion."""
@@ -183,10 +200,13 @@ class SfmTask(BackboneTask[DepthTerms | None]):
         image, ray = batch["image"], batch["ray"]
         photometric, geometry, labels = (image.new_zeros(()) for _ in range(3))
         own = self._trained_output(network, batch)
-        for name in _NEIGHBORS:
-            flow, motion = _motion(network, image, batch[name], ray, own)
-            T_other_own = pose_matrix(motion)
-            if self.photometric_weight > 0.0 or self.geometry_weight > 0.0:
+        moves = cast(SfmNetwork, network).moves
+        frames = torch.cat([image, *(batch[name] for name in _NEIGHBORS)])
+        features = moves.encode(frames).split(len(image))
+        for name, there in zip(_NEIGHBORS, features[1:], strict=True):
+            flow = moves.flow(features[0], there, ray)
+            T_other_own = pose_matrix(motion_from_flow(flow, ray, own.detach()))
+            if not self._is_geometry_free:
                 other = self._trained_output(network, {"image": batch[name], "ray": ray})
                 view = synthesize_view(batch[name], other, own, T_other_own, ray, batch["view"])
                 unlike, color = inconsistency(view), view.color
@@ -197,9 +217,8 @@ class SfmTask(BackboneTask[DepthTerms | None]):
                 photometric = photometric + (error * view.is_valid).sum() / count
                 geometry = geometry + (unlike * view.is_valid).sum() / count
             if self.supervision > 0.0:
-                T_true = batch[f"T_{name}_own"]
-                labels = labels + motion_error(T_other_own, T_true)
-                labels = labels + flow_error(flow, true_flow(batch, T_true))
+                labels = labels + motion_error(T_other_own, batch[f"T_{name}_own"])
+                labels = labels + flow_error(flow, batch[f"flow_{name}"])
         if self.supervision > 0.0 and self.trains_distances:
             labels = labels + depth_loss(own, distances_of(batch), _GRADIENT_WEIGHT)["loss"]
         return total(
@@ -219,8 +238,8 @@ class SfmTask(BackboneTask[DepthTerms | None]):
     def outputs(self, network: nn.Module, batch: Batch) -> dict[str, Tensor]:
         """Return the distances, and the motion between neighbors in the batch."""
         image, ray, own = batch["image"], batch["ray"], self.output(network, batch)
-        _, motion = _motion(network, image, image.roll(1, 0), ray, own)
-        return {"output": own, "motion": motion}
+        moves = cast(SfmNetwork, network).moves
+        return {"output": own, "motion": moves(image, image.roll(1, 0), ray, own)}
 
     def terms(self, output: NDArray, sample: Sample) -> DepthTerms | None:
         """Depth errors of one frame; None if its true depth is not known."""
@@ -305,24 +324,29 @@ class SfmTask(BackboneTask[DepthTerms | None]):
         """
         if sequence.camera is None:
             raise InputError(LENS_NEEDED)
-        poses = [np.eye(4)]
         kept = np.array(frames or range(len(sequence)))
-        batches = (self._batch(sequence, int(index), device) for index in kept)
+        region = common_region(sequence, kept)
+        moves, poses, before = cast(SfmNetwork, network).moves, [np.eye(4)], None
         with torch.inference_mode():
-            for before, here in pairwise(batches):
-                own = self.output(network, here)
-                _, motion = _motion(network, here["image"], before["image"], here["ray"], own)
-                T_before_here = pose_matrix(motion.double())[0].cpu().numpy()
-                T_before_here[:3, 3] *= MIDDLE  # the scale of its distances
-                poses.append(poses[-1] @ T_before_here)
+            for index in kept:
+                here = self._encoded(network, sequence, int(index), region, device)
+                if before is not None:
+                    step = step_between(before, here, moves, aligns=self.aligns)
+                    poses.append(poses[-1] @ step)
+                before = here
         values = {TIME: sequence.times[kept], CAMERA_POSE: np.stack(poses)}
         return replace(sequence.subset(kept), values=values)
 
-    def _batch(self, sequence: FrameSequence, index: int, device: str) -> Batch:
-        """Inputs of the network for one frame."""
-        image = sequence.image("rgb", index)
+    def _encoded(
+        self, network: nn.Module, sequence: FrameSequence, index: int, region: Region, device: str
+    ) -> Encoded:
+        """Inputs, features and distances of one frame."""
+        image = np.ascontiguousarray(sequence.image("rgb", index)[region])
         letterbox = Letterbox(image.shape[0], image.shape[1], self.input_size)
-        return batch_of([self.inputs(image, letterbox, sequence.camera)], device)
+        camera = part_of(cast("Camera", sequence.camera), *region)
+        batch = batch_of([self.inputs(image, letterbox, camera)], device)
+        features = cast(SfmNetwork, network).moves.encode(batch["image"])
+        return Encoded(batch["image"], batch["ray"], features, self.output(network, batch))
 
 
 class SfmNetwork(DepthNetwork):
@@ -339,13 +363,14 @@ class SfmNetwork(DepthNetwork):
         return super().forward(image, *maps) - torch.log(cosine)
 
 
-def _motion(
-    network: nn.Module, image: Tensor, other: Tensor, ray: Tensor, own: Tensor
-) -> tuple[Flow, Tensor]:
-    """Flow and motion [b 6] of frames in others; distances get no gradient of the motion."""
-    moves = cast(SfmNetwork, network).moves
-    flow = moves.flow(image, other, ray)
-    return flow, motion_from_flow(flow, ray, own.detach())
+def _true_flows(sample: Sample) -> Sample:
+    """True flow [h w 2] to each neighbor, of a static wall."""
+    batch = batch_of([{name: sample[name] for name in ("ray", "depth", "view")}])
+    flows = {}
+    for name in _NEIGHBORS:
+        flow = true_flow(batch, torch.from_numpy(sample[f"T_{name}_own"][None]))
+        flows[f"flow_{name}"] = flow[0].permute(1, 2, 0).numpy().astype(np.float32)
+    return flows
 
 
 def _depth_of(output: NDArray, sample: Sample) -> NDArray:

@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 
+from vrcaps.actuation.arm.arm import read_arm
+from vrcaps.actuation.arm.arm_with_payload import (
+    ArmWithPayload,
+    magnet_pose_at,
+    transverse_mount,
+)
 from vrcaps.actuation.coil_program import CoilSteering, Currents
+from vrcaps.actuation.magnet_actuator import RobotActuator
 from vrcaps.actuation.steering_program import JoystickCommand, MagnetSteering
-from vrcaps.bridge.commands import CURRENTS, POSE, VELOCITY
+from vrcaps.bridge.commands import CURRENTS, JOINTS, POSE, VELOCITY, ArmCommands
 from vrcaps.bridge.protocol import publication
 from vrcaps.bridge.simulation import LiveSimulation
 from vrcaps.core.errors import InputError
 from vrcaps.formats.robotics.ros2_bag import _Bag
+from vrcaps.magnet.presets import read_magnet
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import Scenario
 
+MAGNET = read_magnet("cylinder-50.8")
 ZERO = {"x": 0.0, "y": 0.0, "z": 0.0}
 
 
@@ -108,6 +119,28 @@ def test_commands_that_are_none_are_one_line(scenario):
             commands.send(VELOCITY, twist(0.0))
     commands.stop()
     assert commands(0.0, 0.01) == JoystickCommand(0.0)
+
+
+def test_joint_angles_are_where_the_magnet_goes():
+    program = SimpleNamespace(settings=MagnetSteering(), controller=MagicMock())
+    robot = ArmWithPayload(
+        read_arm("ur5e"), MAGNET, np.eye(4), transverse_mount(MAGNET), table_height=0.0
+    )
+    program.controller.actuator = RobotActuator(robot)
+    commands = ArmCommands(program)
+    angles = [0.1, *robot.arm.home[1:]]
+    assert commands.send(JOINTS, {"position": angles}) == ""
+    ((_, pose),) = commands._due(0.0)
+    np.testing.assert_allclose(pose, magnet_pose_at(robot, np.array(angles)), atol=1e-12)
+    for message, error in (
+        ({"position": [0.0]}, r"Allowed: 6 angles \[rad\]"),
+        ({"name": ["joint_1"], "position": [0.0]}, "position is of 1 joints. Allowed: 6"),
+        ({"name": ["joint_7"], "position": [0.0]}, "Allowed: joint_1 to joint_6, each once"),
+        ({"position": [0.0, 0.5, *[0.0] * 4]}, "collides with itself or the table"),
+    ):
+        with pytest.raises(InputError, match=error):
+            commands.send(JOINTS, message)
+    assert "clipped" in commands.send(JOINTS, {"position": [99.0, *robot.arm.home[1:]]})
 
 
 def test_currents_are_those_of_the_program_and_clipped(coil_scenario):

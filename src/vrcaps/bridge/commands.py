@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from vrcaps.actuation.arm.arm_with_payload import clearances, magnet_pose_at
+from vrcaps.actuation.magnet_actuator import RobotActuator
 from vrcaps.actuation.pose_following import axes_towards
 from vrcaps.actuation.steering_program import JoystickCommand
 from vrcaps.bridge.protocol import shortened
@@ -23,7 +25,8 @@ if TYPE_CHECKING:
     from vrcaps.actuation.coil_program import CoilProgram
     from vrcaps.actuation.steering_program import SteeringProgram
 
-VELOCITY, POSE, CURRENTS = "/magnet/cmd_vel", "/magnet/goal_pose", "/coils/command"
+VELOCITY, POSE = "/magnet/cmd_vel", "/magnet/goal_pose"
+JOINTS, CURRENTS = "/joint_command", "/coils/command"
 """Topics of commands."""
 _MAX_WAITING = 1000
 _WORLD = ("", "world")
@@ -107,7 +110,7 @@ class MagnetCommands(Commands):
         """Joystick command of the program at a time [s] for a duration [s]."""
         for topic, value in self._due(time) if time >= 0.0 else ():
             self._axes = value if topic == VELOCITY else np.zeros(6)
-            self._target = value if topic == POSE else None
+            self._target = value if topic in (POSE, JOINTS) else None
         axes = self._axes
         if self._target is not None:
             axes, is_over = axes_towards(self._program, self._target, dt)
@@ -133,6 +136,37 @@ class MagnetCommands(Commands):
         allowed = self._program.controller.actuator.workspace.clamp_pose(pose)
         is_clipped = not np.array_equal(allowed, pose)
         return allowed, "The pose was moved into the workspace." if is_clipped else ""
+
+
+class ArmCommands(MagnetCommands):
+    """Commands of a magnet on an arm; in addition, the angles of the joints at a pose of it.
+
+    The magnet moves straight to the pose; an arm of seven axes may reach it by other angles.
+    """
+
+    kinds: ClassVar[Mapping[str, str]] = {
+        **MagnetCommands.kinds,
+        JOINTS: "sensor_msgs/msg/JointState",
+    }
+
+    def _parse(self, topic: str, message: Mapping[str, Any]) -> tuple[Any, str]:
+        if topic != JOINTS:
+            return super()._parse(topic, message)
+        actuator = self._program.controller.actuator
+        assert isinstance(actuator, RobotActuator)
+        robot = actuator.robot
+        names = [f"joint_{k}" for k in range(1, robot.arm.num_joints + 1)]
+        indices, given = _joint_values(message, names, "position", "angles [rad]")
+        if len(indices) < len(names):
+            raise InputError(f"position is of {len(indices)} joints. Allowed: {len(names)}.")
+        angles = np.empty(len(names))
+        angles[indices] = given
+        clipped = np.clip(angles, robot.arm.lower, robot.arm.upper)
+        if clearances(robot, clipped[None]).min() < 0.0:
+            raise InputError("At these angles the arm collides with itself or the table.")
+        pose = actuator.workspace.clamp_pose(magnet_pose_at(robot, clipped))
+        is_clipped = not np.array_equal(clipped, angles)
+        return pose, "Angles were clipped to the limits of the joints." if is_clipped else ""
 
 
 class CoilCommands(Commands):
@@ -161,19 +195,7 @@ class CoilCommands(Commands):
         return currents
 
     def _parse(self, topic: str, message: Mapping[str, Any]) -> tuple[Any, str]:
-        names = message.get("name") or self._names
-        allowed = f"{self._names[0]} to {self._names[-1]}, each once"
-        is_valid = isinstance(names, list) and all(isinstance(name, str) for name in names)
-        if not (is_valid and set(names) <= set(self._names) and len(set(names)) == len(names)):
-            raise InputError(f"name is {shortened(names)}. Allowed: {allowed}.")
-        given = message.get("effort")
-        if not isinstance(given, list) or len(given) != len(names):
-            raise InputError(
-                f"effort is {shortened(given)}. Allowed: {len(names)} currents [A], one for each "
-                "coil."
-            )
-        indices = [self._names.index(name) for name in names]
-        currents = [_number(value, "effort") for value in given]
+        indices, currents = _joint_values(message, self._names, "effort", "currents [A]")
         most = self._most[indices]
         clipped = np.clip(currents, -most, most)
         is_clipped = not np.array_equal(clipped, currents)
@@ -215,6 +237,25 @@ def _vector(
     if not isinstance(value, dict):
         raise InputError(f"{path} is {shortened(value)}. Allowed: numbers {', '.join(axes)}.")
     return np.array([_number(value.get(axis), f"{path}.{axis}") for axis in axes])
+
+
+def _joint_values(
+    message: Mapping[str, Any], known: Sequence[str], field: str, what: str
+) -> tuple[list[int], list[float]]:
+    """Indices of the joints that a `JointState` names, all if none, and their values.
+
+    Raises:
+        InputError: If a name is unknown or repeated, or a value is missing or invalid.
+    """
+    names = message.get("name") or list(known)
+    is_valid = isinstance(names, list) and all(isinstance(name, str) for name in names)
+    if not (is_valid and set(names) <= set(known) and len(set(names)) == len(names)):
+        allowed = f"{known[0]} to {known[-1]}, each once"
+        raise InputError(f"name is {shortened(names)}. Allowed: {allowed}.")
+    given = message.get(field)
+    if not isinstance(given, list) or len(given) != len(names):
+        raise InputError(f"{field} is {shortened(given)}. Allowed: {len(names)} {what}.")
+    return [known.index(name) for name in names], [_number(value, field) for value in given]
 
 
 def _number(value: Any, what: str) -> float:

@@ -9,7 +9,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from vrcaps.bridge.commands import CoilCommands, Commands, MagnetCommands
+from vrcaps.actuation.magnet_actuator import RobotActuator
+from vrcaps.bridge.commands import ArmCommands, CoilCommands, Commands, MagnetCommands
 from vrcaps.bridge.server import BridgeServer, Respond, serving
 from vrcaps.camera.lens.exchange import OPENCV_LENSES
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
@@ -308,7 +309,7 @@ class LiveSimulation:
             kinds["/coils/joint_states"] = "sensor_msgs/msg/JointState"
         else:
             kinds["/magnet/pose"] = "geometry_msgs/msg/PoseStamped"
-            if len(program.controller.status.actuator.joint_angles):
+            if isinstance(program.controller.actuator, RobotActuator):
                 kinds["/joint_states"] = "sensor_msgs/msg/JointState"
         for camera in self._published:
             kinds[f"/{camera}/camera_info"] = "sensor_msgs/msg/CameraInfo"
@@ -327,8 +328,10 @@ def _published(camera: Camera, field_of_view: float | None) -> Camera:
 def _commands_of(rollout: Rollout) -> Commands:
     if rollout.coils is not None:
         return CoilCommands(rollout.coils)
-    assert rollout.program is not None
-    return MagnetCommands(rollout.program)
+    program = rollout.program
+    assert program is not None
+    has_arm = isinstance(program.controller.actuator, RobotActuator)
+    return ArmCommands(program) if has_arm else MagnetCommands(program)
 
 
 @contextmanager

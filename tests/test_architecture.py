@@ -42,7 +42,6 @@ LAYERS = (
     ("learn",),
     ("tools",),
     ("cockpit",),
-    ("bridge",),
     ("cli",),
 )
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}

@@ -87,7 +87,7 @@ class Bridge:
         """
         use_threads(self.threads)
         require(self.duration >= 0.0, "--duration", f"{self.duration:g} s", "0 s or more")
-        from vrcaps.bridge.simulation import LiveSimulation, open_bridge
+        from vrcaps.cockpit.bridge.simulation import LiveSimulation, open_bridge
         from vrcaps.cockpit.server import require_free
 
         require_free(self.host, self.port)

@@ -16,6 +16,7 @@ again from its commands alone, to the same bytes. Types on the arrows:
   that of recorded episodes.
 - `scene` contains the nodes of the 3D scene, which the library viser draws in a frame of the page,
   the colorings of the organ, and the viewpoints.
+- `bridge` serves a simulated capsule to programs instead of a page.
 - `open_cockpit` serves the page; its `Cockpit` runs consecutive drives in the same page.
 
 An error in a page does not stop the simulation: it becomes a message in the page and a

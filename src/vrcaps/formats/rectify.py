@@ -139,9 +139,36 @@ def pinhole_of(
     )
 
 
-def resampled_image(image: NDArray, channel: str, old: Camera, new: Camera) -> NDArray:
-    """Image of a channel as seen by another camera with the same pose, as of `resampled`."""
-    return _load(lambda channel, index: image, old, new, channel, 0)
+@dataclass(frozen=True)
+class ResampledCamera:
+    """Camera whose images are resampled to another one with the same pose.
+
+    Attributes:
+        source: The camera.
+        target: The other one; the same if images are kept.
+    """
+
+    source: Camera
+    target: Camera
+
+    @property
+    def is_resampled(self) -> bool:
+        """True if images are not kept."""
+        return self.target is not self.source
+
+    @property
+    def note(self) -> str:
+        """Description of the resampling, in one line."""
+        return (
+            f"Images of {self.source.name}, with a {self.source.lens.kind} lens, are resampled to "
+            f"a pinhole of {degrees(self.target.nominal_field or 0.0):.4g} degrees."
+        )
+
+    def image(self, image: NDArray, channel: str) -> NDArray:
+        """Image of a channel as the target sees it, as of `resampled`."""
+        if not self.is_resampled:
+            return image
+        return _load(lambda channel, index: image, self.source, self.target, channel, 0)
 
 
 def widest_field(camera: Camera) -> float:

@@ -61,6 +61,12 @@ class Sensors:
     hall: HallPad | None = None
     earth_field: tuple[float, float, float] = EARTH_FIELD
 
+    def with_inertial(self) -> Sensors:
+        """Return the sensors with an IMU and a magnetometer; missing ones have defaults."""
+        return replace(
+            self, imu=self.imu or Imu(), magnetometer=self.magnetometer or Magnetometer()
+        )
+
 
 def hall_array(pad: HallPad, model: Model) -> HallArray:
     """Sensors of a pad in the world, with their nominal gain and offset."""

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import radians
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.camera.lens.exchange import OpenCvLens
+from vrcaps.camera.lens.exchange import OPENCV_LENSES, OpenCvLens
 from vrcaps.core.geometry import quaternion_from_matrix
+from vrcaps.formats.rectify import ResampledCamera, pinhole_of, widest_field
 from vrcaps.formats.robotics.foxglove_schemas import time_ns
 from vrcaps.render.channels import CHANNELS
 
@@ -71,6 +73,28 @@ def transform_message(ns: int, child: str, pose: Float[np.ndarray, "4 4"]) -> Ro
         "transform": transform,
     }
     return RosMessage("/tf", "tf2_msgs/msg/TFMessage", ns, {"transforms": [stamped]})
+
+
+_FIELD_OF_VIEW = radians(90.0)
+"""Field of view of the pinhole that replaces a lens which ROS cannot describe, if it is as wide."""
+
+
+def ros_camera(camera: Camera, field_of_view: float | None = None) -> ResampledCamera:
+    """Camera whose images ROS can describe.
+
+    Args:
+        camera: Camera with any lens.
+        field_of_view: Horizontal field of view of a pinhole to which images are resampled [rad];
+            None keeps lenses that ROS can describe, and is 90° for others.
+
+    Raises:
+        InputError: If the lens does not see the field of view, or has skew.
+    """
+    if field_of_view is None and camera.lens.kind in OPENCV_LENSES:
+        camera_info_message(0, camera, camera.name)  # raises an error for skew
+        return ResampledCamera(camera, camera)
+    field_of_view = field_of_view or min(_FIELD_OF_VIEW, widest_field(camera))
+    return ResampledCamera(camera, pinhole_of(camera, field_of_view))
 
 
 def camera_info_message(ns: int, camera: Camera, name: str) -> RosMessage:

@@ -18,9 +18,9 @@ from vrcaps.actuation.arm.arm_with_payload import (
 from vrcaps.actuation.coil_program import CoilSteering, Currents
 from vrcaps.actuation.magnet_actuator import RobotActuator
 from vrcaps.actuation.steering_program import JoystickCommand, MagnetSteering
-from vrcaps.bridge.commands import CURRENTS, JOINTS, POSE, VELOCITY, ArmCommands
-from vrcaps.bridge.protocol import publication
-from vrcaps.bridge.simulation import LiveSimulation
+from vrcaps.cockpit.bridge.commands import CURRENTS, JOINTS, POSE, VELOCITY, ArmCommands
+from vrcaps.cockpit.bridge.protocol import publication
+from vrcaps.cockpit.bridge.simulation import LiveSimulation
 from vrcaps.core.errors import InputError
 from vrcaps.formats.robotics.ros2_bag import _Bag
 from vrcaps.magnet.presets import read_magnet

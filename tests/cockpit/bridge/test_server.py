@@ -18,8 +18,8 @@ import pytest
 from tests.support.cockpit_browser import free_port
 from tests.support.programs import run_program
 from tests.support.waiting import WATCHDOG, wait_until
-from vrcaps.bridge.server import BridgeServer
-from vrcaps.bridge.simulation import LiveSimulation, open_bridge
+from vrcaps.cockpit.bridge.server import BridgeServer
+from vrcaps.cockpit.bridge.simulation import LiveSimulation, open_bridge
 from vrcaps.scenario.scenario import scenario_to_plain
 
 pytest.importorskip("websockets")
@@ -165,7 +165,7 @@ def test_a_client_that_floods_is_disconnected_and_the_others_stay(port, client, 
 @pytest.mark.slow
 def test_a_client_that_takes_no_data_does_not_slow_the_world(scenario, told, monkeypatch):
     """Its messages are dropped, then its connection."""
-    monkeypatch.setattr("vrcaps.bridge.server._SEND_TIMEOUT", 0.5)
+    monkeypatch.setattr("vrcaps.cockpit.bridge.server._SEND_TIMEOUT", 0.5)
     told.clear()
     simulation = LiveSimulation(scenario, real_time_factor=0.0, is_paused=True)
     with ExitStack() as stack:

@@ -10,15 +10,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from vrcaps.actuation.magnet_actuator import RobotActuator
-from vrcaps.bridge.commands import ArmCommands, CoilCommands, Commands, MagnetCommands
-from vrcaps.bridge.server import BridgeServer, Respond, serving
-from vrcaps.camera.lens.exchange import OPENCV_LENSES
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
+from vrcaps.cockpit.bridge.commands import ArmCommands, CoilCommands, Commands, MagnetCommands
+from vrcaps.cockpit.bridge.server import BridgeServer, Respond, serving
 from vrcaps.cockpit.session.camera_images import LIVE_CHANNELS
 from vrcaps.cockpit.session.clock import Clock
 from vrcaps.cockpit.session.drive import cockpit_scenario, require_drivable
 from vrcaps.core.errors import InputError, require
-from vrcaps.formats.rectify import pinhole_of, resampled_image, widest_field
 from vrcaps.formats.robotics.foxglove_schemas import time_ns
 from vrcaps.formats.robotics.ros_messages import (
     RosMessage,
@@ -27,6 +25,7 @@ from vrcaps.formats.robotics.ros_messages import (
     clock_message,
     image_message,
     jpeg_message,
+    ros_camera,
     state_messages,
     transform_message,
 )
@@ -38,11 +37,9 @@ from vrcaps.recording.table import TableRows
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.renderer import Renderer
 from vrcaps.scenario.build import build
-from vrcaps.sensors.imu import Imu, Magnetometer
 from vrcaps.world.model import MovingWall
 
 if TYPE_CHECKING:
-    from vrcaps.camera.camera import Camera
     from vrcaps.recording.table import FrameTable
     from vrcaps.render.channels import Frame
     from vrcaps.scenario.scenario import Scenario
@@ -55,7 +52,6 @@ _OK, _FAILED = 1, 4
 _MAX_STEPS = 10**6
 _QUALITY = 90
 """JPEG quality of images."""
-_FIELD_OF_VIEW = math.radians(90.0)
 """Field of view of a pinhole that replaces a lens of which ROS has no model."""
 
 
@@ -97,7 +93,7 @@ class FrameGate:
         """Service: simulate a number of frames while paused, and respond when they are published.
 
         Raises:
-            InputError: If the simulation is not paused, or the number is invalid.
+            InputError: If the simulation is not paused, or `steps` is invalid.
         """
         steps = arguments.get("steps", 1)
         is_valid = type(steps) is int and 1 <= steps <= _MAX_STEPS
@@ -167,17 +163,13 @@ class LiveSimulation:
         is_valid = math.isfinite(real_time_factor) and real_time_factor >= 0.0
         require(is_valid, "real_time_factor", real_time_factor, "0 or more")
         require_drivable(scenario)
-        sensors = scenario.sensors
-        units = {
-            "imu": sensors.imu or Imu(),
-            "magnetometer": sensors.magnetometer or Magnetometer(),
-        }
         # No standard message holds the readings of a Hall array.
-        scenario = replace(scenario, sensors=replace(sensors, **units, hall=None))
+        sensors = replace(scenario.sensors.with_inertial(), hall=None)
+        scenario = replace(scenario, sensors=sensors)
         self._resolved = resolved = cockpit_scenario(scenario)
         self.scenario = resolved.scenario
         self._published = {
-            camera.name: _published(camera, field_of_view) for camera in resolved.unit.cameras
+            camera.name: ros_camera(camera, field_of_view) for camera in resolved.unit.cameras
         }
         self.model, rollout = build(resolved)
         assert isinstance(rollout, Rollout)
@@ -235,13 +227,7 @@ class LiveSimulation:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes on the setup, one line each."""
-        unit = self._resolved.unit
-        resampled = [
-            f"Images of {name}, with a {unit.camera(name).lens.kind} lens, are resampled to a "
-            f"pinhole of {math.degrees(camera.nominal_field or 0.0):.4g} degrees."
-            for name, camera in self._published.items()
-            if camera is not unit.camera(name)
-        ]
+        resampled = [view.note for view in self._published.values() if view.is_resampled]
         return (*self.rollout.notes, *resampled)
 
     def _pace(self, simulated: float, duration: float) -> None:
@@ -256,10 +242,9 @@ class LiveSimulation:
         ns, table = time_ns(step.state.time), self._row(step)
         yield clock_message(ns)
         yield from state_messages(table, 0, step.state.time)
-        for camera in self._published.values():
-            pose = table.poses(camera.name)[0]
-            yield transform_message(ns, camera_frame(camera.name), pose)
-            yield camera_info_message(ns, camera, camera.name)
+        for name, view in self._published.items():
+            yield transform_message(ns, camera_frame(name), table.poses(name)[0])
+            yield camera_info_message(ns, view.target, name)
         topics = {name: wanted & self._image_topics(name).keys() for name in self._published}
         if any(topics.values()):
             for name, frame in self._cameras.capture(step).items():
@@ -268,14 +253,12 @@ class LiveSimulation:
     def _image_messages(
         self, ns: int, camera: str, frame: Frame, wanted: frozenset[str]
     ) -> Iterator[RosMessage]:
-        old, new = self._resolved.unit.camera(camera), self._published[camera]
+        view = self._published[camera]
         for channel in self._channels:
             topic = f"/{camera}/{channel}"
             if wanted.isdisjoint((topic, f"{topic}/compressed")):
                 continue
-            image = getattr(frame, channel)
-            if new is not old:
-                image = resampled_image(image, channel, old, new)
+            image = view.image(getattr(frame, channel), channel)
             if topic in wanted:
                 yield image_message(ns, camera, channel, image)
             if f"{topic}/compressed" in wanted:
@@ -315,14 +298,6 @@ class LiveSimulation:
             kinds[f"/{camera}/camera_info"] = "sensor_msgs/msg/CameraInfo"
             kinds |= self._image_topics(camera)
         return kinds
-
-
-def _published(camera: Camera, field_of_view: float | None) -> Camera:
-    """Camera whose images are published."""
-    if field_of_view is None and camera.lens.kind in OPENCV_LENSES:
-        camera_info_message(0, camera, camera.name)  # raises an error for skew
-        return camera
-    return pinhole_of(camera, field_of_view or min(_FIELD_OF_VIEW, widest_field(camera)))
 
 
 def _commands_of(rollout: Rollout) -> Commands:

@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from vrcaps.bridge.protocol import MAX_REQUEST, parse_request, publication, status
+from vrcaps.cockpit.bridge.protocol import MAX_REQUEST, parse_request, publication, status
 from vrcaps.core.errors import InputError
 from vrcaps.formats.robotics.ros_messages import RosMessage
 

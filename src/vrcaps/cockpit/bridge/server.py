@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from vrcaps.bridge.protocol import (
+from vrcaps.cockpit.bridge.protocol import (
     Request,
     parse_request,
     plain_kind,
@@ -29,7 +29,7 @@ from vrcaps.cockpit.server import require_free
 from vrcaps.core.errors import InputError, UnknownNameError, VrcapsError, import_extra
 
 if TYPE_CHECKING:
-    from vrcaps.bridge.commands import Commands
+    from vrcaps.cockpit.bridge.commands import Commands
     from vrcaps.formats.robotics.ros_messages import RosMessage
 
 Respond = Callable[[dict[str, Any]], None]
@@ -70,8 +70,8 @@ class _Subscription:
 class _Client:
     """One connection with the messages that wait for it."""
 
-    def __init__(self, number: int, socket: Any) -> None:
-        self.number, self.socket = number, socket
+    def __init__(self, client_id: int, socket: Any) -> None:
+        self.client_id, self.socket = client_id, socket
         self.subscriptions: dict[str, _Subscription] = {}
         self.wake, self.is_full = asyncio.Event(), False
         self._waiting: deque[tuple[str, str]] = deque()
@@ -148,7 +148,7 @@ class BridgeServer:
         self._services = {**services, "/rosapi/topics": self._list_topics}
         self._on_message = on_message
         self._clients: dict[int, _Client] = {}
-        self._number, self._commander = 0, 0
+        self._last_id, self._commander = 0, 0
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def publish(self, messages: Iterable[RosMessage]) -> None:
@@ -172,17 +172,17 @@ class BridgeServer:
         if len(self._clients) >= _MAX_CONNECTIONS:
             await socket.close(_TRY_AGAIN, f"{_MAX_CONNECTIONS} clients are connected.")
             return
-        self._number += 1
-        client = self._clients[self._number] = _Client(self._number, socket)
+        self._last_id += 1
+        client = self._clients[self._last_id] = _Client(self._last_id, socket)
         sending = asyncio.create_task(self._send(client))
         try:
             with contextlib.suppress(ConnectionClosed):
                 await self._receive(client)
         finally:
             sending.cancel()
-            del self._clients[client.number]
+            del self._clients[client.client_id]
             self._update_wanted()
-            if self._commander == client.number:  # nobody is there to stop it
+            if self._commander == client.client_id:  # nobody is there to stop it
                 self._commands.stop()
 
     async def drain(self) -> None:
@@ -197,7 +197,7 @@ class BridgeServer:
         while True:
             text = await client.socket.recv()
             if not limit.take():
-                self._on_message(f"Client {client.number} was disconnected: it sent too much.")
+                self._on_message(f"Client {client.client_id} was disconnected: it sent too much.")
                 await client.socket.close(_POLICY_VIOLATION, "Too many requests.")
                 return
             id = None
@@ -224,7 +224,9 @@ class BridgeServer:
                 except TimeoutError:
                     is_late = True
                 if is_late or client.is_full:
-                    self._on_message(f"Client {client.number} was disconnected: it takes no data.")
+                    self._on_message(
+                        f"Client {client.client_id} was disconnected: it takes no data."
+                    )
                     client.socket.transport.abort()
                     return
 
@@ -250,7 +252,7 @@ class BridgeServer:
         elif request.op != "unadvertise":
             _require_kind("topic to publish to", request, self._commands.kinds)
             if request.op == "publish":
-                self._commander = client.number
+                self._commander = client.client_id
                 if note := self._commands.send(topic, request.content):
                     client.answer(status("warning", note, request.id))
 
@@ -312,7 +314,9 @@ def serving(server: BridgeServer, host: str, port: int, origins: Sequence[str]) 
     options: dict[str, Any] = {
         "origins": [None, *origins],
         "max_size": _MAX_MESSAGE,
-        "logger": logging.Logger("vrcaps.bridge", logging.CRITICAL + 1),  # refusals are no news
+        "logger": logging.Logger(
+            "vrcaps.cockpit.bridge", logging.CRITICAL + 1
+        ),  # refusals are no news
         "compression": None,
     }
 

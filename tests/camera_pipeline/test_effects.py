@@ -40,7 +40,7 @@ def test_an_effect_that_is_not_given_is_the_capsules_own() -> None:
     assert own.without_device(device) == Effects()
     assert replace(own, jpeg=2).without_device(device) == Effects(jpeg=2)
     assert own.specular is None and own.dome_bubbles is None
-    assert {own.motion_blur, own.droplets, own.tone_curve} == {0}
+    assert {own.motion_blur, own.droplets} == {0}
     given = parse_effects("ae=2,afr=0,bayer=0,noise=1").of_device(device)
     assert (given.auto_exposure, given.adaptive_frame_rate, given.bayer_filter) == (2, 0, 0)
     assert given.sensor_noise == 1

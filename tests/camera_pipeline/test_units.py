@@ -24,7 +24,7 @@ from vrcaps.render.settings import RenderSettings
 
 CAMERA = make_camera("equidistant", image_circle_px=38.0, exposure=4.0)
 NOW = looking((0.002, 0.001, 0.05), (0.1, 0.05, 1.0))
-CHAIN = ImageChain(variation=UnitVariation(0.1, 0.05, 0.2, 0.1, 0.2, 0.03))
+CHAIN = ImageChain(variation=UnitVariation(0.1, 0.05, 0.2, 0.1, 0.2, 0.03, 0.2))
 
 
 def test_nominal_unit_has_the_values_of_its_model() -> None:
@@ -43,7 +43,7 @@ def test_nominal_unit_has_the_values_of_its_model() -> None:
 def test_effects_that_change_nothing_are_left_out() -> None:
     ideal = ImageChain(
         lateral_color=(0.0, 0.0), bloom_fraction=0.0, bayer_pattern="", sharpening=0.0,
-        jpeg_quality=0, variation=EQUAL_UNITS,
+        contrast=1.0, jpeg_quality=0, variation=EQUAL_UNITS,
     )  # fmt: skip
     left = {"depth_of_field", "vignetting", "sensor_noise", "white_balance", "denoising"}
     assert set(unit_effects(ideal, 3)) == left
@@ -70,6 +70,19 @@ def test_variation_has_its_standard_deviation_and_keeps_gray() -> None:
     focus = np.log([unit["depth_of_field"].focus_distance for unit in units])  # type: ignore[attr-defined]
     assert focus.std() == pytest.approx(0.1, rel=0.1)
     assert abs(np.corrcoef(red, focus)[0, 1]) < 0.15
+
+
+def test_units_differ_in_their_target_of_exposure() -> None:
+    device = replace(read_device("mirocam"), image_chain=CHAIN)
+    targets = [
+        Effects().of_device(device, seed).auto_exposure.target  # type: ignore[union-attr]
+        for seed in range(400)
+    ]
+    assert np.log(targets).std() == pytest.approx(0.2, rel=0.1)
+    assert np.median(targets) == pytest.approx(0.15, rel=0.05)
+    assert Effects().of_device(device).auto_exposure == AutoExposure(time_constant=0.0)
+    equal = replace(device, image_chain=replace(CHAIN, variation=EQUAL_UNITS))
+    assert Effects().of_device(equal, 7).auto_exposure == AutoExposure(time_constant=0.0)
 
 
 def test_leds_are_unequal_but_give_the_same_light() -> None:
@@ -103,7 +116,7 @@ def test_a_file_keeps_a_chain_without_compression_and_variation(tmp_path) -> Non
 
 def test_every_allowed_chain_gives_units() -> None:
     """Values at the limits of a chain, with the largest variation, are within those of effects."""
-    largest = UnitVariation(*[0.5] * 6)
+    largest = UnitVariation(*[0.5] * 7)
     rows = ((4.0, 4.0, 4.0), (-4.0, -4.0, -4.0), (0.0, 0.0, 0.0))
     for gain in (0.01, 10.0):
         gains = (gain, gain, gain)

@@ -364,6 +364,25 @@ def test_flecks_of_mucus_cover_their_share():
     assert (flecked[is_fleck].mean(axis=-1) > bare[is_fleck].mean(axis=-1)).mean() > 0.95
 
 
+def test_patchiness_is_the_share_of_variation_within_centimeters():
+    """The color of a square of 20 mm varies less with fewer patches."""
+    plain = replace(MUCOSAE["small-bowel"], flecks=0.0, pit_shade=0.0, network=0.0)
+    spreads = [
+        decode(
+            bake_appearance(
+                make_square(20.0 * MM),
+                seed=3,
+                mucosa=replace(plain, vessel_contrast=0.0, patchiness=patchiness),
+                texels_per_mm=4.0,
+            ).albedo
+        )[20:-20, 20:-20].std(axis=(0, 1))
+        for patchiness in (0.0, 0.5, 1.0)
+    ]
+    assert (spreads[0] < 0.75 * spreads[2]).all()
+    assert (spreads[0] < spreads[1]).all()
+    assert (spreads[1] < spreads[2]).all()
+
+
 @pytest.mark.slow
 def test_the_wall_does_not_repeat():
     """The wall's color is correlated with itself at no distance beyond its largest patches."""

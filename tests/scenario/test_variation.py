@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.lumen.contents import Contents, Film, Medium
+from vrcaps.lumen.contents import Bubbles, Contents, Film, Medium
 from vrcaps.lumen.preparation import PREPARATIONS
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.scenario.build import resolve
@@ -35,7 +35,8 @@ def test_all_open_settings_are_drawn_and_stored():
     assert isinstance(contents.medium, Medium)
     assert isinstance(contents.film, Film)
     assert resolved.organ.distension in (None, "normal")
-    assert 0.3 <= resolved.motion.tilt <= 0.78
+    assert 0.5 <= resolved.motion.tilt <= 0.78
+    assert isinstance(contents.bubbles, Bubbles)
     # Recording it again draws the same.
     assert resolve(resolved).scenario == resolved
     assert scenario_from_plain(scenario_to_plain(resolved)) == resolved

@@ -13,7 +13,7 @@ from vrcaps.cli.benchmarks.stage import resized_camera
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
 from vrcaps.mesh.self_intersection import self_intersections
-from vrcaps.organ.surface import CLOSED_RADIUS
+from vrcaps.organ.surface import CLOSED_RADIUS, POCKETS
 from vrcaps.render.renderer import DEFAULT_CHANNELS as CHANNELS
 from vrcaps.render.renderer import Renderer
 from vrcaps.world.closure import LumenClosure, closure_of
@@ -104,6 +104,48 @@ def test_arc_lengths_may_have_any_origin(model, shift):
     organ = replace(model.organ, arc_length=model.organ.arc_length + shift)
     vertices = closed_wall(replace(model, organ=organ), model.place(100 * MM).T_world_capsule)
     assert np.isfinite(vertices).all()
+
+
+def test_pleats_keep_most_of_the_perimeter():
+    """A closed section is longer than the circle of its mean radius: its wall hardly stretches."""
+    model = straight()
+    pose = model.place(100 * MM).T_world_capsule
+    ratios = []
+    for seed in range(4):
+        organ = replace(model.organ, metadata={CLOSED_RADIUS: CLOSED, "seed": seed})
+        vertices = closed_wall(replace(model, organ=organ), pose)
+        section = vertices[np.abs(organ.arc_length - 130 * MM) < 0.4 * MM]
+        radii = radius_at(model, vertices, 130 * MM)
+        section = section[np.argsort(organ.theta[np.abs(organ.arc_length - 130 * MM) < 0.4 * MM])]
+        edges = np.linalg.norm(np.diff(section, axis=0, append=section[:1]), axis=1)
+        ratios.append(edges.sum() / (2.0 * np.pi * radii.mean()))
+    assert min(ratios) > 1.25
+    assert len(np.unique(np.round(ratios, 3))) == 4
+
+
+@pytest.mark.parametrize("pockets", [0.0, 0.3, 0.9])
+def test_pockets_stay_open(pockets):
+    """Beyond the capsule, pockets keep the wall at rest over their fraction of the length."""
+    model = straight()
+    fractions = []
+    for seed in range(12):
+        organ = replace(
+            model.organ, metadata={CLOSED_RADIUS: CLOSED, POCKETS: pockets, "seed": seed}
+        )
+        vertices = closed_wall(replace(model, organ=organ), model.place(100 * MM).T_world_capsule)
+        assert len(self_intersections(vertices, organ.faces)) == 0
+        places = np.arange(68 * MM, 74 * MM, 1 * MM)
+        narrow = [radius_at(model, vertices, at).mean() < 0.75 * RADIUS for at in places]
+        fractions.append(1.0 - np.mean(narrow))
+    assert np.mean(fractions) == pytest.approx(pockets, abs=0.25)
+    assert (np.mean(fractions) == 0.0) == (pockets == 0.0)
+
+
+@pytest.mark.parametrize("value", [-0.1, 1.0, float("nan"), "half", None])
+def test_invalid_pockets_are_one_line(value):
+    organ = replace(straight().organ, metadata={CLOSED_RADIUS: CLOSED, POCKETS: value})
+    with pytest.raises(InputError, match=r"pockets in .* is .*Allowed: 0 to below 1"):
+        closure_of(replace(straight(), organ=organ))
 
 
 def test_an_open_organ_is_not_closed():

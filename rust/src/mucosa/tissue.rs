@@ -10,6 +10,7 @@ use pyo3::prelude::*;
 pub struct Mucosa {
     pub base_color: [f32; 3],
     pub redness_variation: f32,
+    pub patchiness: f32,
     pub bile: f32,
     pub vessel_contrast: f32,
     pub vessel_spacing: f32,
@@ -110,12 +111,17 @@ const FILM_DEVIATION: f32 = 0.85;
 const FILM_DEPTH: f32 = 1.3;
 const STRAND_DEPTH: f32 = 1.3;
 
+/// Variance of patches relative to that of the slow variation along the gut.
+const SLOW_SHARE: f32 = 2.6;
+
 /// A mucosa grown over one patient's wall.
 pub struct Tissue {
     mucosa: Mucosa,
     grid: SegmentGrid,
     texel: f32,
     redness: f32,
+    /// Weight of slow variation along the gut, which takes the variance that patches lack.
+    slow: f32,
     contrast: f32,
     /// Reflectance of mucus.
     tint: [f32; 3],
@@ -144,6 +150,7 @@ impl Tissue {
             grid,
             texel,
             redness: mucosa.redness_variation * patient(0),
+            slow: (1.0 + SLOW_SHARE * (1.0 - mucosa.patchiness * mucosa.patchiness)).sqrt(),
             contrast: mucosa.vessel_contrast * (1.0 + 0.2 * patient(1)),
             tint: [0, 1, 2].map(|c| (mucosa.base_color[c] * mucosa.mucus_tint[c]).min(0.95)),
             border: FILM_DEVIATION * quantile(mucosa.mucus),
@@ -219,15 +226,15 @@ impl Tissue {
         let (artery, vein) = (seen * blood.artery[i], seen * blood.vein[i]);
         let gap = (PLATEAU - structure.plateau[i]) * places.pits[i];
 
-        let shade = places.shade[i] - patch
-            + 0.6 * mottle
-            + 0.3 * grain
+        let (patchy, slow) = (mucosa.patchiness, self.slow);
+        let shade = slow * places.shade[i]
+            + patchy * (0.6 * mottle + 0.3 * grain - patch)
             + mucosa.network * structure.mesh[i];
         let clumped = 0.35 + 0.65 * smoothstep(-1.4, 1.0, mottle + 0.6 * grain);
         let redness = self.redness + mucosa.redness_variation * shade - 0.18 * crest
             + mucosa.pit_shade * gap * clumped;
-        let film = smoothstep(0.6, 2.2, level);
-        let stained = smoothstep(-1.3, 1.7, 0.8 * places.region[i] + 1.3 * level);
+        let film = patchy * smoothstep(0.6, 2.2, level);
+        let stained = smoothstep(-1.3, 1.7, 0.8 * slow * places.region[i] + 1.3 * patchy * level);
         let pool = 0.15 + 1.8 * stained + 2.5 * film + 1.2 * valley;
         let stain = 1.0 + 4.0 * mucosa.pit_shade * gap * clumped;
         let bile = mucosa.bile * places.bile[i] * pool * (1.0 - 0.6 * crest) * stain;

@@ -61,8 +61,6 @@ if TYPE_CHECKING:
     from vrcaps.camera_pipeline.effect.base import Effect
     from vrcaps.capsule.image_chain import ImageChain
 
-_SETTLED_EXPOSURE = AutoExposure(time_constant=0.0)
-
 
 @dataclass(frozen=True)
 class Effects:
@@ -127,7 +125,7 @@ class Effects:
         if device.image_chain is not None:
             own |= unit_effects(device.image_chain, seed)
         if device.auto_exposure:
-            own["auto_exposure"] = _SETTLED_EXPOSURE
+            own["auto_exposure"] = _settled_exposure(device.image_chain, seed)
         if device.lowest_frame_rate is not None:
             own["adaptive_frame_rate"] = AdaptiveFrameRate(
                 device.lowest_frame_rate, device.frame_rate
@@ -292,6 +290,17 @@ def parse_effects(text: str) -> Effects:
                 "effect", name, (*EFFECTS, *SHORT_NAMES, _ALL, _RANDOM, _NONE, DEFAULT)
             )
     return Effects(**values)
+
+
+def _settled_exposure(chain: ImageChain | None, seed: int | None) -> AutoExposure:
+    """Automatic exposure that has settled in every frame, with the target of the unit."""
+    nominal = AutoExposure(time_constant=0.0)
+    if chain is None or seed is None or not chain.variation.exposure:
+        return nominal
+    z = truncated_normal(stream(seed, "camera/unit/exposure"))
+    return replace(
+        nominal, target=round(nominal.target * math.exp(chain.variation.exposure * z), 5)
+    )
 
 
 _SEEDS = 2**31

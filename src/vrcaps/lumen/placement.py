@@ -266,7 +266,13 @@ class _Seeds:
         anchor = points + distance[:, None] * direction
         inward = _inward(self.organ, np.maximum(face, 0))
         inward = np.where((face >= 0)[:, None], inward, -direction)
-        return distance / lumen_radius, anchor, inward, lumen_radius, self.arc_length
+        return (
+            distance / np.maximum(lumen_radius, 1e-9),
+            anchor,
+            inward,
+            lumen_radius,
+            self.arc_length,
+        )
 
     def radii(self, kind: Bubbles | Chyme) -> Float[np.ndarray, " n"]:
         """Radii [m] from the truncated log-normal law, at most half the distance to the wall."""

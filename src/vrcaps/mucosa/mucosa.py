@@ -32,6 +32,8 @@ class Mucosa:
         base_color: Linear reflectance of the wall between its vessels, red, green, blue.
         redness_variation: Spread of the optical density of blood in the mucosa, over positions
             along the gut and patches.
+        patchiness: Weight of patches of centimeters and below in redness and bile, 0 to 1; slow
+            variation along the gut takes the variance that they lack.
         patient_variation: Standard deviation over patients of the optical density of blood in green
             light, and of bile in blue light.
         bile: Optical density of bile-stained mucus in blue light.
@@ -55,6 +57,7 @@ class Mucosa:
 
     base_color: tuple[float, float, float]
     redness_variation: float = 0.35
+    patchiness: float = 1.0
     patient_variation: tuple[float, float] = (0.20, 0.30)
     bile: float = 0.45
     vessel_contrast: float = 1.0
@@ -102,16 +105,17 @@ MUCOSAE: dict[str, Mucosa] = {
     "small-bowel": Mucosa(
         base_color=(0.400, 0.182, 0.088),
         redness_variation=0.24,
+        patchiness=0.45,
         patient_variation=(0.35, 0.65),
-        bile=0.38,
+        bile=0.55,
         vessel_contrast=0.06,
         pit_spacing=0.42 * MM,
         pit_slope=0.48,
         pit_shade=0.24,
         network=0.04,
-        flecks=0.06,
-        mucus=0.04,
-        mucus_tint=(1.15, 1.9, 2.0),
+        flecks=0.03,
+        mucus=0.0,
+        mucus_tint=(1.10, 1.5, 1.5),
         roughness=0.85,
         clearcoat=0.16,
     ),

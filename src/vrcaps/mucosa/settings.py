@@ -29,6 +29,7 @@ class MucosaSettings(FileRef):
             for the organ's own.
         sha256: Checksum of the texture's head file.
         redness_variation: Spread of the optical density of blood.
+        patchiness: Weight of patches in redness and bile, relative to variation along the gut.
         bile: Optical density of bile-stained mucus in blue light.
         vessel_contrast: Fraction of green light absorbed by a wide, shallow vessel.
         vessel_spacing: Distance between the ends of the finest visible branches [m].
@@ -46,6 +47,7 @@ class MucosaSettings(FileRef):
 
     path: str = ""
     redness_variation: _Amount = None
+    patchiness: _Fraction = None
     bile: _Amount = None
     vessel_contrast: _Fraction = None
     vessel_spacing: _Length = None

@@ -89,6 +89,10 @@ def interpolate(
 CLOSED_RADIUS = "closed_radius_m"
 """Key in the metadata of an organ: mean radius to which its slack wall closes the lumen [m]."""
 
+POCKETS = "pockets"
+"""Key in the metadata of an organ: fraction of its length in which gas or fluid keeps a slack lumen
+open."""
+
 HEIGHT_STEP = 2.0**-24
 """Quantum of relief [m], 60 nm, so that files store it exactly in 16 bits."""
 

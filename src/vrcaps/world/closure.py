@@ -9,13 +9,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.core.errors import require
 from vrcaps.core.geometry import smoothstep, transform_points
+from vrcaps.core.rng import stream
 from vrcaps.core.units import MM
-from vrcaps.organ.surface import interpolate
+from vrcaps.organ.surface import POCKETS, interpolate
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -32,12 +35,23 @@ _FADE = 25 * MM
 """Distance over which it opens beyond; a closed lumen hides that part."""
 _RECENTER = 5 * MM
 """Distance over which the lumen returns from the capsule's axis to its own course [m]."""
-_SWAY, _PITCHES = 4.5 * MM, (17 * MM, 23 * MM)
+_SWAY, _PITCHES = 5.5 * MM, (13 * MM, 18 * MM)
 """Amplitude and wavelengths / 2π of the course of the closed lumen about the centerline [m]."""
 _TONE_PITCHES = (26 * MM, 41 * MM)
 """Wavelengths / 2π of the tone, which shortens the funnel and narrows the lumen [m]."""
 _FLATNESS, _TWIST = 0.15, 20 * MM
 """Relative difference between the diameters of the slit, and arc length of one radian of twist."""
+_PLEATS = (4, 5, 6)
+"""Numbers of longitudinal pleats of a closed section, of which each stretch mixes two or three."""
+_PLEAT_PITCHES = (19 * MM, 31 * MM, 24 * MM)
+"""Wavelengths / 2π of the amplitudes of these pleats along the gut [m]."""
+_PLEAT_SHARE, _PLEAT_LIMIT = 0.75, 0.8
+"""Fraction of the excess perimeter that pleats take up, and their maximum amplitude relative to the
+mean radius."""
+_POCKET_PITCHES = (17 * MM, 27 * MM, 41 * MM)
+"""Wavelengths / 2π of the field whose crests are pockets of gas, a few centimeters long [m]."""
+_POCKET_EDGE = 0.9
+"""Standard deviations of that field over which a pocket opens."""
 _FUNNEL = 13 * MM
 """Mean distance over which the lumen closes beyond the cylinder of the capsule [m]."""
 _PLAY = 1.12
@@ -58,13 +72,21 @@ class LumenClosure:
     `radius` beyond a funnel before and behind it, both by the local tone. So folds keep
     their height until they meet and stay in their order, and sections do not cross.
 
+    The wall is hardly extensible: a section that closes from a radius R to r buckles into n
+    longitudinal pleats of amplitude A that keep its perimeter, r² + n² A² / 2 = R² (the mean of
+    the squared arc element of r + A cos nθ). Pockets of gas or fluid hold the lumen open: there the
+    wall stays at rest, in part or in full. Lengths, shares and numbers of pleats and pockets are
+    estimates from capsule frames.
+
     Attributes:
         model: Model whose wall is displaced.
         radius: Median radius of the closed lumen between its folds [m].
+        pockets: Fraction of the gut's length with pockets of gas or fluid, below 1.
     """
 
     model: Model
     radius: float
+    pockets: float = 0.0
 
     def close(
         self, T_world_capsule: Float[np.ndarray, "4 4"], half_length: float, shell_radius: float
@@ -98,8 +120,11 @@ class LumenClosure:
         wanted = (1.0 - far) * _PLAY * shell_radius + far * self.radius * np.exp(-0.9 * tone)
         depth = np.maximum(mean - wanted, 0.0)
         slit = 1.0 + far * _FLATNESS * np.cos(2.0 * theta + s / _TWIST)
-        free = radius - depth * slit - _LEAST
+        height = np.sqrt(np.maximum(mean**2 - wanted**2, 0.0)) * _PLEAT_SHARE
+        height = far * np.minimum(height, _PLEAT_LIMIT * wanted * _PLEATS[1] / 2.0**0.5)
+        free = radius - depth * slit + height * self._pleats[moved] - _LEAST
         closed = _LEAST + 0.5 * (free + np.hypot(free, _SOFT))
+        weight = weight * (1.0 - self._openness[moved])
         closed = radius + weight * (np.minimum(closed, radius) - radius)
         return moved, center + weight[:, None] * offset + closed[:, None] * outward
 
@@ -133,6 +158,36 @@ class LumenClosure:
         return order, self.model.organ.arc_length[order]
 
     @cached_property
+    def _pleats(self) -> Float[np.ndarray, " n"]:
+        """Radius of each vertex by pleats, relative to √2 A n of pleats that are equal.
+
+        Rounded ridges inwards, narrow creases outwards.
+        """
+        s, theta = self.model.organ.arc_length, self.model.organ.theta
+        phases = self._rng("pleats").uniform(0.0, 2.0 * np.pi, (2, len(_PLEATS)))
+        total, norm = np.zeros(len(s)), np.full(len(s), 1e-6)
+        for number, pitch, first, second in zip(_PLEATS, _PLEAT_PITCHES, *phases, strict=True):
+            weight = np.sin(s / pitch + first)
+            total += weight / number * np.cos(number * theta + second)
+            norm += weight**2
+        return 2.0**0.5 * total / np.sqrt(norm)
+
+    @cached_property
+    def _openness(self) -> Float[np.ndarray, " n"]:
+        """Fraction of its opening at rest that each vertex keeps, 0 to 1."""
+        s = self.model.organ.arc_length
+        if self.pockets <= 0.0:
+            return np.zeros(len(s))
+        phases = self._rng("pockets").uniform(0.0, 2.0 * np.pi, len(_POCKET_PITCHES))
+        waves = np.sin(s[:, None] / np.array(_POCKET_PITCHES) + phases)
+        level = waves.sum(axis=1) * (2.0 / len(_POCKET_PITCHES)) ** 0.5
+        return smoothstep((level - NormalDist().inv_cdf(1.0 - self.pockets)) / _POCKET_EDGE)
+
+    def _rng(self, purpose: str) -> np.random.Generator:
+        seed = self.model.organ.metadata.get("seed", 0)
+        return stream(seed if isinstance(seed, int) else 0, f"closure/{purpose}")
+
+    @cached_property
     def _polar(self) -> tuple[np.ndarray, ...]:
         """Data of each vertex that do not depend on the pose.
 
@@ -142,7 +197,8 @@ class LumenClosure:
         organ, pose = self.model.organ, self.model.T_world_patient
         at, frames, _ = interpolate(organ.centerline, organ.arc_length)
         center = transform_points(pose, at)
-        sway = _SWAY * np.sin(organ.arc_length[:, None] / np.array(_PITCHES))
+        phases = self._rng("course").uniform(0.0, 2.0 * np.pi, 2)
+        sway = _SWAY * np.sin(organ.arc_length[:, None] / np.array(_PITCHES) + phases)
         course = np.einsum("ijk,ik->ij", (pose[:3, :3] @ frames)[:, :, :2], sway)
         offset = self.model.vertices_world - center
         radius = np.linalg.norm(offset, axis=1)
@@ -161,7 +217,10 @@ def closure_of(model: Model) -> LumenClosure | None:
         InputError: If the metadata are invalid.
     """
     radius = model.closed_radius
-    return LumenClosure(model, radius) if radius > 0.0 else None
+    pockets = model.organ.metadata.get(POCKETS, 0.0)
+    is_valid = isinstance(pockets, int | float) and 0.0 <= pockets < 1.0
+    require(is_valid, f"{POCKETS} in the metadata of {model.organ.name}", pockets, "0 to below 1")
+    return LumenClosure(model, radius, float(pockets)) if radius > 0.0 else None
 
 
 def _linear(

@@ -18,7 +18,7 @@ from vrcaps.anatomy.tube_mesh.swept_surface import SweptSurface, dome
 from vrcaps.anatomy.tube_mesh.tube import make_tube
 from vrcaps.core.rng import stream
 from vrcaps.core.units import MM
-from vrcaps.organ.surface import CLOSED_RADIUS, OrganSurface
+from vrcaps.organ.surface import CLOSED_RADIUS, POCKETS, OrganSurface
 
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
@@ -132,6 +132,7 @@ def _as_organ(wall: SmallBowelWall, tube: Tube, seed: int) -> OrganSurface:
             "seed": seed,
             "parameters": asdict(wall.parameters),
             CLOSED_RADIUS: wall.parameters.closed_radius,
+            POCKETS: wall.parameters.pockets,
         },
     )
 

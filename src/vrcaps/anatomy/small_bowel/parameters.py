@@ -54,6 +54,7 @@ class SmallBowelParameters:
             [m].
         closed_radius: Mean radius to which the slack wall closes the lumen next to the
             capsule [m], see `vrcaps.world.closure`; 0 leaves it open.
+        pockets: Fraction of the length in which pockets of gas or fluid keep a closed lumen open.
         min_radius: Minimum radius of the lumen between folds and contractions [m].
         roughness: Standard deviation of the smooth irregularity of the wall [m].
         edge: Mean edge length of the triangles in a lumen of 24.5 mm, less in narrower ones [m].
@@ -77,6 +78,7 @@ class SmallBowelParameters:
     longitudinal_fold_depth: Annotated[float, Range(0.0, 0.5)] = 0.05
     slack_fold_height: Annotated[float, Range(0.0, 6 * MM, unit="m")] = 0.0
     closed_radius: Annotated[float, Range(0.0, 5 * MM, unit="m")] = 0.0
+    pockets: Annotated[float, Range(min=0.0, below=1.0)] = 0.0
     min_radius: Annotated[float, Range(1 * MM, 8 * MM, unit="m")] = 4.6 * MM
     roughness: Annotated[float, Range(0.0, 1 * MM, unit="m")] = 0.22 * MM
     edge: Annotated[float, Range(0.6 * MM, 5 * MM, unit="m")] = 1.75 * MM
@@ -157,6 +159,7 @@ _DIMENSIONS: dict[str, dict[str, float]] = {
     "collapsed": {
         "slack_fold_height": 3.0 * MM,
         "closed_radius": 1.9 * MM,
+        "pockets": 0.35,
         "min_radius": 2.2 * MM,
     },
 }

@@ -22,6 +22,7 @@ NEW_DRIVE = {
     **{"capsules": ["magnetic"], "capsule": "magnetic"},
     **{"magnets": ["cylinder-76.2"], "magnet": "cylinder-76.2"},
     **{"arms": ["none", "panda"], "arm": "panda"},
+    **{"coilArrays": ["none", "table-3x3"], "coils": "none"},
     "severities": [{"name": "chyme", "label": "chyme", "hint": "Chyme", "severity": 0}],
 }
 
@@ -72,7 +73,7 @@ class StillPage(Page):
             **{"folder": "runs/drive", "fps": 4.0, "channels": ["rgb", "depth"]},
             "cameras": [{"name": name, "width": 320, "height": 320} for name in ("front", "rear")],
             "speeds": [{"label": f"{label} ×", "value": value} for label, value in SPEEDS.items()],
-            **{"policies": ["navigator"], "controls": CONTROLS},
+            **{"policies": ["navigator"], "controls": CONTROLS, "coils": []},
             **{"postures": list(POSTURES), "posture": "supine", "lights": ["direct", "path"]},
             **{"imagings": ["white-light", "narrow-band"], "maxSeverity": 4},
             "liveEffects": [{"name": "noise", "label": "noise", "hint": "Noise of the sensor"}],

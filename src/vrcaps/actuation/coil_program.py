@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from vrcaps.world.model import Model
     from vrcaps.world.world import World
 
+_OFF = 0.01
+"""Current, relative to its maximum, below which a coil counts as off."""
 _POSITIVE = Range(above=0.0, below=math.inf)
 
 
@@ -168,8 +170,10 @@ class CoilProgram:
     Attributes:
         settings: Settings of the program.
         array: The electromagnets.
+        T_world_array: Pose of the array.
         sources: One source of 1 A for each coil; its strength in a world is the current.
         status: State after the last command.
+        target: Force [N] and torque [N·m] that the last joystick command asks for.
         operator: Callback for live steering, as of `SteeringProgram`.
         current_operator: Callback for live currents: returns the current of each coil [A] at a
             time [s] for a duration [s]; all other commands are then ignored.
@@ -186,9 +190,9 @@ class CoilProgram:
         if settings.command_file is not None:
             entries, self._joystick = _read_commands(settings)
         self._rows = [(entry.time, *entry.currents) for entry in entries]
-        pose = array_pose(model, settings.array_position, settings.standoff)
-        self.sources: tuple[Source, ...] = self.array.sources(pose)
-        self._magnets = model.device.magnets
+        self.T_world_array = array_pose(model, settings.array_position, settings.standoff)
+        self.sources: tuple[Source, ...] = self.array.sources(self.T_world_array)
+        self._magnets, self.target = model.device.magnets, np.zeros(6)
         self._most = self.array.values("max_current")
         rest = coils_at_rest(self.array)
         self.status = CoilStatus(np.zeros(len(self.array.coils)), rest, "")
@@ -199,6 +203,17 @@ class CoilProgram:
     def notes(self) -> tuple[str, ...]:
         """Notes on the setup: none."""
         return ()
+
+    @property
+    def is_on(self) -> bool:
+        """Whether a coil has more than 1 % of its maximum current."""
+        return bool((np.abs(self.status.state.currents) > _OFF * self._most).any())
+
+    @property
+    def reached_limit(self) -> str:
+        """Limit of the status, or `current` if a command is scaled down to the maximum."""
+        is_full = (np.abs(self.status.commands) > (1.0 - 1e-9) * self._most).any()
+        return self.status.limit or ("current" if is_full else "")
 
     def control(self, world: World, time: float, dt: float) -> Control:
         """Command for the next `dt` [s] at a time of the run [s]; none before the first frame."""
@@ -221,7 +236,7 @@ class CoilProgram:
             return np.zeros(len(self.array.coils))
         command = (self.operator or self._recorded_command)(time, dt)
         settings = self.settings
-        target = np.concatenate(
+        self.target = target = np.concatenate(
             [
                 settings.joystick_force * np.array(command.linear),
                 settings.joystick_torque * np.array(command.angular),

@@ -28,7 +28,11 @@ Start with `vrcaps demo`. Every verb shows examples with --help."""
 _VERBS = {
     "demo": ("vrcaps.cli.record", "Demo", "Record a labeled episode in a generated colon."),
     "record": ("vrcaps.cli.record", "Record", "Record an episode of an organ and a capsule."),
-    "cockpit": ("vrcaps.cli.cockpit", "Cockpit", "Steer a capsule by magnet from a browser."),
+    "cockpit": (
+        "vrcaps.cli.cockpit",
+        "Cockpit",
+        "Steer a capsule from a browser.",
+    ),
     "bridge": (
         "vrcaps.cli.bridge",
         "Bridge",

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Cockpit:
-    """Drive a capsule by magnet from a browser, and save the drive.
+    """Drive a capsule by magnet or coils from a browser, and save the drive.
 
     The page shows organ, capsule, magnet and arm, and the image of the capsule's camera. Drag the
     magnet, hold keys or use a gamepad. The flags are those of vrcaps record; without any, a robot
@@ -38,6 +38,7 @@ class Cockpit:
       vrcaps cockpit
       vrcaps cockpit --organ colon --seed 3 --lesions prevalence --out runs/drive
       vrcaps cockpit --motion dynamics --set motion.magnet.wall=upper
+      vrcaps cockpit --set motion.coils.coils=coils.toml
       vrcaps cockpit --policy mine.policies:Mine --policy runs/policy/best.npz
     """
 

@@ -251,10 +251,10 @@ class NewDrive(Command):
         organ: Name of a generated organ.
         seed: Seed of the patient.
         lesions: Short texts of lesions, `prevalence` or `none`.
-        capsule: Name in the catalog.
-        capsule_file: Device file.
+        capsule: Name in the catalog; `capsule_file` is a device file instead.
         magnet: Name of the magnet.
         arm: Name of the arm, or `none`.
+        coils: Name of a coil array instead of the magnet, or `none`.
         severities: Of lumen contents and of effects that last for a drive.
     """
 
@@ -266,6 +266,7 @@ class NewDrive(Command):
     capsule_file: str = ""
     magnet: str = ""
     arm: str = ""
+    coils: str = ""
     severities: tuple[Severity, ...] = ()
 
 

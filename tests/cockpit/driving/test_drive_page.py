@@ -11,7 +11,9 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 
+from tests.support.waiting import wait_until
 from vrcaps.actuation.arm.arm import read_arm
+from vrcaps.actuation.coil_program import CoilSteering
 from vrcaps.cockpit import messages
 from vrcaps.cockpit.driving.drive_commands import EpisodeRecording, drive_handlers
 from vrcaps.cockpit.driving.drive_page import DrivePage
@@ -39,6 +41,7 @@ REFUSED = {
     "lesions": (NewDrive(lesions="wart"), "No lesion named 'wart'"),
     "magnet": (NewDrive(magnet="horseshoe"), "No magnet named"),
     "arm": (NewDrive(arm="../panda"), "No arm named"),
+    "coils": (NewDrive(coils="helmholtz"), "No coils named"),
     "severities": (NewDrive(severities=(Severity("sun", 1),)), "No effect named 'sun'"),
 }
 
@@ -71,6 +74,43 @@ def test_what_is_not_chosen_stays_the_same(scenario):
     assert replace(after, organ=scenario.organ, motion=scenario.motion, lesions=()) == replace(
         scenario, contents=after.contents
     )
+
+
+def test_coils_replace_the_magnet_and_back(scenario):
+    coils = next_scenario(scenario, NewDrive(coils="table-3x3"), "127.0.0.1")
+    assert coils.motion.magnet is None
+    assert coils.motion.coils == CoilSteering()
+    driven = cockpit_scenario(coils).scenario
+    same = NewDrive(coils="table-3x3", magnet="cylinder-76.2", arm="panda")
+    assert next_scenario(driven, same, "127.0.0.1") == driven
+    back = next_scenario(driven, NewDrive(coils="none", arm="none"), "127.0.0.1")
+    assert back.motion.coils is None
+    assert back.motion.magnet.arm is None
+
+
+@pytest.mark.slow
+def test_a_page_of_coils_shows_currents_and_temperatures(drive_scenario, tmp_path):
+    """It offers no policy, since policies act by the magnet."""
+    pytest.importorskip("viser", reason="the extra cockpit is not installed")
+    from tests.support.cockpit_browser import free_port
+    from vrcaps.cockpit.cockpit import open_cockpit
+
+    motion = replace(drive_scenario.motion, magnet=None, coils=CoilSteering())
+    scenario = replace(drive_scenario, motion=motion)
+    with open_cockpit(scenario, tmp_path / "drive", port=free_port()) as cockpit:
+        page, session = cockpit.page, cockpit.session
+        wait_until(lambda: session.view is not None)
+        setup = page.setup()
+        assert setup["coils"] == [{"maxCurrent": 60.0, "maxTemperature": 90.0}] * 9
+        assert (setup["hasMagnet"], setup["policies"]) == (False, [])
+        assert setup["controls"]["x+"] == "pull to +x"
+        assert setup["newDrive"]["coils"] == "table-3x3"
+        session.operator.push(np.array([0.0, 0, 1.0, 0, 0, 0]))
+        wait_until(lambda: max(abs(current) for current, _ in page.status()["coils"]) > 1.0)
+        page.scene.pace.interval = 0.0
+        page.update()
+        low, high = page.box("all")
+        assert low[2] < session.rollout.coils.T_world_array[2, 3] < high[2]
 
 
 def test_names_that_are_not_offered_are_refused():

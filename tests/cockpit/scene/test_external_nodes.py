@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 
 from vrcaps.actuation.arm.arm import read_arm
+from vrcaps.actuation.coil_array import read_coil_array
 from vrcaps.cockpit.scene import external_nodes
-from vrcaps.cockpit.scene.external_nodes import MagnetNode, link_meshes, patient_outline
+from vrcaps.cockpit.scene.external_nodes import (
+    CoilNodes,
+    MagnetNode,
+    coil_mesh,
+    link_meshes,
+    patient_outline,
+)
+from vrcaps.core.geometry import transform_from
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import Sphere
 
@@ -32,6 +41,30 @@ def test_each_link_is_drawn_in_its_frame(is_installed, monkeypatch):
             assert faces.max() < len(vertices)
             middle = np.mean([link.start, link.end], axis=0)
             assert np.linalg.norm(vertices - middle, axis=1).min() < 2.5 * link.radius
+
+
+def test_coils_are_drawn_where_they_are_and_colored_by_their_currents():
+    array = read_coil_array("table-3x3")
+    program = MagicMock(array=array, T_world_array=transform_from(np.eye(3), [0.0, 0.0, -0.2]))
+    scene = MagicMock()
+    scene.add_mesh_simple.side_effect = lambda *args, **more: SimpleNamespace(
+        position=np.zeros(3), wxyz=np.array([1.0, 0.0, 0.0, 0.0]), color=None
+    )
+    nodes = CoilNodes(scene, program)
+    vertices, faces = coil_mesh(array.coils[0])
+    coil = array.coils[0]
+    assert np.ptp(vertices[:, 2]) == pytest.approx(coil.length)
+    radii = np.linalg.norm(vertices[:, :2], axis=1)
+    assert radii.max() == pytest.approx(coil.radius + coil.thickness / 2)
+    assert radii.min() == pytest.approx(coil.radius - coil.thickness / 2)
+    assert faces.max() < len(vertices)
+    assert nodes.box[1][2] < -0.2
+    currents = np.zeros(9)
+    currents[:2] = 60.0, -120.0
+    nodes.show(currents)
+    colors = [handle.color for handle in nodes._handles]
+    assert colors[:2] == [(210, 60, 50), (60, 130, 210)]
+    assert set(colors[2:]) == {(128, 116, 100)}
 
 
 @pytest.mark.parametrize("magnet", [read_magnet("cylinder-50.8"), Sphere(0.03, 1.4)])

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -14,12 +16,12 @@ import pytest
 from tests.support.waiting import wait_until
 from vrcaps.actuation.coil_program import CoilSteering
 from vrcaps.actuation.steering_program import JoystickCommand, read_commands
+from vrcaps.cockpit.driving.drive_setup import limit_text
 from vrcaps.cockpit.session.operator import PolicyDriver
-from vrcaps.cockpit.session.session import Session
+from vrcaps.cockpit.session.session import Session, _actuator_values
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.geometry import quaternion_from_matrix
 from vrcaps.lumen.contents import Contents
-from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.recording.table import POSE_COLUMNS
@@ -200,9 +202,52 @@ def test_a_full_disk_is_told_and_the_next_save_writes_all(drive_scenario, tmp_pa
     assert commands[1].linear == (1.0, 0.0, 0.0)
 
 
-def test_coils_are_refused_in_one_line(drive_scenario, tmp_path):
-    scenario = replace(drive_scenario, motion=Dynamics(coils=CoilSteering()))
-    with pytest.raises(
-        InputError, match=r"steers by a magnet\. Give motion\.magnet instead of coils"
-    ):
-        Session(scenario, tmp_path / "drive")
+@pytest.mark.slow
+def test_a_drive_by_coils_is_recorded_again_to_the_same_bytes(drive_scenario, tmp_path):
+    """The axes are a force and a torque; nothing can be dragged."""
+    motion = replace(
+        drive_scenario.motion, magnet=None, coils=CoilSteering(), dynamics="quasi-static"
+    )
+    scenario = replace(drive_scenario, motion=motion)
+    with driving(scenario, tmp_path / "drive") as session:
+        run_to(session, 1)
+        assert not session.view.coils.state.currents.any()
+        session.operator.push(np.array([1.0, 0, 0.5, 0, 0, 0]))
+        run_to(session, 4)
+        view = session.view
+        assert np.abs(view.coils.state.currents).max() > 1.0
+        assert view.coils.state.temperatures.max() > 25.0
+        with pytest.raises(InputError, match=r"Coils have no magnet to drag\. Use the keys"):
+            session.operator.drag(np.eye(4))
+        session.operator.stop()
+        run_to(session, 6)
+        driven = session.poses
+    out = record(read_scenario(tmp_path / "drive" / "drive.json"), tmp_path / "episode")
+    columns = read_episode(out).table.columns
+    recorded = np.transpose([columns[f"capsule_{axis}_m"] for axis in "xyz"])
+    np.testing.assert_array_equal(recorded, driven[:, :3, 3])
+    assert np.abs(columns["coil_5_current_a"]).max() > 0.0
+
+
+def test_a_limit_of_coils_is_named(drive_scenario, tmp_path):
+    motion = replace(drive_scenario.motion, magnet=None, coils=CoilSteering())
+    session = Session(replace(drive_scenario, motion=motion), tmp_path / "drive")
+    program = session.rollout.coils
+    session.operator.push(np.array([0.01, 0, 0, 0, 0, 0]))
+    program.control(session.rollout.world, 0.0, 1.0)
+    assert (program.reached_limit, program.is_on) == ("", True)
+    session.operator.push(np.array([1.0, 0, 0, 0, 0, 0]))
+    program.control(session.rollout.world, 0.0, 0.01)
+    assert program.reached_limit == "current"
+    assert limit_text(program.reached_limit) == "their maximum current"
+    np.testing.assert_allclose(program.target, [motion.coils.joystick_force, 0, 0, 0, 0, 0])
+    coupling = SimpleNamespace(force_world=0.6 * program.target[:3])
+    rollout = MagicMock(coils=program)
+    rollout.world.state.coupling = coupling
+    assert _actuator_values(rollout)["lost"] == ""
+    coupling.force_world *= 0.5
+    assert _actuator_values(rollout)["lost"] == "insufficient_force"
+    session.operator.stop()
+    program.control(session.rollout.world, 0.0, 10.0)
+    assert _actuator_values(rollout)["lost"] == ""
+    assert (program.reached_limit, program.is_on) == ("", False)

@@ -80,7 +80,9 @@ class DrivePage(Page):
         self._axes_time, self._map_time = np.inf, 0.0
         self._last_view, self._policy = -1, ""
         self._is_busy = is_busy or threading.Lock()
-        names = (_FIRST_POLICY, *policy_names(MagnetActuation.kind), *policies)
+        names: tuple[str, ...] = ()  # policies act by the magnet
+        if session.rollout.coils is None:
+            names = (_FIRST_POLICY, *policy_names(MagnetActuation.kind), *policies)
         self.policies = tuple(dict.fromkeys(names))
         session.on_message = self.notify
         self.images, self.seen = CameraImages(session, self._keep_image), SeenWall(session)
@@ -140,12 +142,12 @@ class DrivePage(Page):
             self.take_over(client)
 
     def leave(self, client: int) -> None:
-        """Stop the magnet if the browser drove; the next browser drives."""
+        """Stop the magnet or the coils if the browser drove; the next browser drives."""
         if client != self._driver or self._is_closed:
             return
         self._driver = None
         self.session.operator.stop()
-        self.notify("The driver's browser is closed: the magnet stops.")
+        self.notify(f"The driver's browser is closed: {self._stopped}.")
         if self.hub.clients:
             self.take_over(self.hub.clients[0])
 
@@ -197,7 +199,7 @@ class DrivePage(Page):
         if wall_clock.monotonic() - self._axes_time > _DEAD_MAN:
             self._axes_time = np.inf
             self.session.operator.stop()
-            self.notify("The driver's browser does not respond: the magnet stops.")
+            self.notify(f"The driver's browser does not respond: {self._stopped}.")
         self._report_policy()
         view = self.session.view
         if view is None or (view.index == self._last_view and view.is_paused):
@@ -218,7 +220,13 @@ class DrivePage(Page):
         view = self.session.view
         return self.session.model.T_world_patient if view is None else view.T_world_patient
 
+    @property
+    def _stopped(self) -> str:
+        has_coils = self.session.rollout.coils is not None
+        return "the coils are switched off" if has_coils else "the magnet stops"
+
     def _view_values(self, view: View) -> dict[str, Any]:
+        coils = view.coils and view.coils.state
         is_moved = bool(self.session.operator.policy) or self.session.operator.is_steering
         return {
             "time": max(view.state.time, 0.0),
@@ -229,6 +237,7 @@ class DrivePage(Page):
             "limit": limit_text(view.limit),
             "lost": lost_text(view.lost),
             "isSteering": is_moved,
+            "coils": [] if coils is None else _rows(coils.currents, coils.temperatures),
         }
 
     def _settings(self) -> dict[str, Any]:
@@ -283,3 +292,7 @@ class DrivePage(Page):
     def _keep_image(self, image: LiveImage) -> None:
         self.latest_image = image
         self.guarded(lambda: self.show_image("camera", image.picture))
+
+
+def _rows(*columns: np.ndarray) -> list[list[float]]:
+    return np.stack(columns, axis=1).tolist()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 
 from vrcaps.actuation.arm.arm import arm_names
+from vrcaps.actuation.coil_array import coil_array_names, read_coil_array
 from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY, ImageEffect
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES
 from vrcaps.cockpit.scene.colorings import coloring_names
@@ -24,6 +25,7 @@ from vrcaps.scenario.scenario import OrganGenerated
 from vrcaps.world.model import POSTURES
 
 if TYPE_CHECKING:
+    from vrcaps.actuation.coil_program import CoilSteering
     from vrcaps.actuation.steering_program import MagnetSteering
     from vrcaps.cockpit.session.camera_images import CameraImages
     from vrcaps.cockpit.session.clock import View
@@ -39,6 +41,9 @@ IMAGING = ("white-light", "narrow-band")
 LIVE_EFFECTS = tuple(name for name in SEVERITIES if issubclass(EFFECTS[name], ImageEffect))
 """Image effects, which can change while the simulation runs. Effects of the capsule's cameras and
 of the organ are chosen with a new drive."""
+
+NO_COILS = "none"
+"""Choice of a magnet instead of coils."""
 
 NO_ARM = "none"
 """Choice of a magnet without an arm."""
@@ -69,6 +74,8 @@ _LIMITS = {
     "workspace": "the edge of its workspace",
     "unreachable": "the reach of the arm",
     "collision": "a collision of the arm",
+    "current": "their maximum current",
+    "temperature": "their temperature: a coil is switched off",
 }
 _LOST = {
     "misaligned": "the capsule is turned away from the field",
@@ -79,7 +86,7 @@ _LOST = {
 
 
 def limit_text(limit: str) -> str:
-    """Text after "magnet limited by" of a limit of the actuator; empty without one."""
+    """Text after "Magnet limited by" or "Coils limited by"; empty without a limit."""
     return _LIMITS.get(limit, limit.replace("_", " "))
 
 
@@ -100,6 +107,35 @@ def arm_name(steering: MagnetSteering) -> str:
     return NO_ARM if arm is None else arm if isinstance(arm, str) else arm.name
 
 
+def coils_name(steering: CoilSteering | None) -> str:
+    """Name of the coil array, or `NO_COILS`."""
+    if steering is None:
+        return NO_COILS
+    names = (name for name in coil_array_names() if read_coil_array(name) == steering.array)
+    return next(names, "own array")
+
+
+def _controls(session: Session) -> dict[str, str]:
+    """Functions of a gamepad; coils pull and turn the capsule."""
+    if session.rollout.coils is None:
+        return CONTROLS
+    return {
+        name: label.replace("magnet", "pull").replace("tilt", "torque").replace("turn", "torque")
+        for name, label in CONTROLS.items()
+    }
+
+
+def _coils(session: Session) -> list[dict[str, float]]:
+    """Limits of each coil; empty with a magnet."""
+    program = session.rollout.coils
+    if program is None:
+        return []
+    return [
+        {"maxCurrent": coil.max_current, "maxTemperature": coil.max_temperature}
+        for coil in program.array.coils
+    ]
+
+
 def drive_setup(session: Session, policies: tuple[str, ...]) -> dict[str, Any]:
     """Constants of the page.
 
@@ -116,7 +152,9 @@ def drive_setup(session: Session, policies: tuple[str, ...]) -> dict[str, Any]:
         "channels": list(LIVE_CHANNELS),
         "speeds": [{"label": f"{label} ×", "value": value} for label, value in SPEEDS.items()],
         "policies": list(policies),
-        "controls": CONTROLS,
+        "controls": _controls(session),
+        "coils": _coils(session),
+        "hasMagnet": session.rollout.coils is None,
         "postures": list(POSTURES),
         "posture": scenario.posture,
         "lights": list(get_args(Light)),
@@ -151,6 +189,8 @@ def _new_drive(session: Session) -> dict[str, Any]:
         "magnet": "" if steering is None else magnet_name(steering),
         "arms": [NO_ARM, *arm_names()],
         "arm": NO_ARM if steering is None else arm_name(steering),
+        "coilArrays": [NO_COILS, *coil_array_names()],
+        "coils": coils_name(session.rollout.settings.coils),
         "severities": [
             *lasting,
             *(

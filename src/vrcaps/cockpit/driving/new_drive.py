@@ -7,9 +7,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
 from vrcaps.actuation.arm.arm import arm_names
+from vrcaps.actuation.coil_array import coil_array_names
+from vrcaps.actuation.coil_program import CoilSteering
+from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.capsule.device_file import read_device
 from vrcaps.cockpit.driving.drive_commands import require_known
-from vrcaps.cockpit.driving.drive_setup import NO_ARM, arm_name, magnet_name
+from vrcaps.cockpit.driving.drive_setup import NO_ARM, NO_COILS, arm_name, coils_name, magnet_name
 from vrcaps.cockpit.page import FieldError
 from vrcaps.cockpit.server import is_loopback
 from vrcaps.cockpit.session.drive import (
@@ -85,11 +88,18 @@ def _seed(scenario: Scenario) -> int:
 
 
 def _steered(scenario: Scenario, command: NewDrive) -> Scenario:
-    """Scenario with the chosen magnet and arm."""
+    """Scenario with the chosen magnet and arm, or coils."""
     motion = scenario.motion
-    if not isinstance(motion, Dynamics) or motion.magnet is None:
+    if not isinstance(motion, Dynamics):
         return scenario
+    if command.coils and command.coils != coils_name(motion.coils):
+        _at("coils", lambda: require_known("coils", command.coils, (NO_COILS, *coil_array_names())))
+        coils = None if command.coils == NO_COILS else CoilSteering(coils=command.coils)
+        magnet = None if coils else MagnetSteering(arm="panda")
+        motion = replace(motion, coils=coils, magnet=magnet)
     steering = motion.magnet
+    if steering is None:
+        return replace(scenario, motion=motion)
     if command.magnet and command.magnet != magnet_name(steering):
         _at("magnet", lambda: require_known("magnet", command.magnet, magnet_names()))
         steering = replace(steering, magnet=command.magnet)

@@ -1,4 +1,4 @@
-"""Scene nodes outside the organ: magnet with field lines, links of a robot arm, and the patient.
+"""Scene nodes outside the organ: magnet with field lines, coils, links of an arm, and the patient.
 
 The patient is a schematic outline of a lying adult, on a table. It shows head, feet, left and
 posture. It is not anatomically exact: the sections are rounded values of an adult of 1.75 m, and
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.actuation.coil_array import MappedCoil
 from vrcaps.cockpit.scene.nodes import move
 from vrcaps.core.errors import import_extra
 from vrcaps.core.geometry import transform_from, transform_points
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
     from vrcaps.actuation.arm.arm import Arm
+    from vrcaps.actuation.coil_array import Electromagnet
+    from vrcaps.actuation.coil_program import CoilProgram
 
 _SOUTH_COLOR, _NORTH_COLOR = (70, 72, 80), (210, 60, 50)
 _STRONG, _WEAK = (60, 130, 210), (18, 26, 42)
@@ -88,6 +91,58 @@ def colored_lines(
     share = np.clip((np.log(flux) - low) / (high - low), 0.0, 1.0)[:, None]
     colors = share * np.array(_STRONG) + (1.0 - share) * np.array(_WEAK)
     return segments, colors.round().astype(np.uint8).reshape(-1, 2, 3)
+
+
+_COIL_OFF, _COIL_NORTH, _COIL_SOUTH = (128, 116, 100), (210, 60, 50), (60, 130, 210)
+"""Colors of a coil without current, and of one at its maximum in either direction."""
+_MAPPED_RADIUS, _MAPPED_LENGTH = 2.0 * CM, 4.0 * CM
+"""Size at which a coil is drawn that has a field map but no shape [m]."""
+
+
+class CoilNodes:
+    """Coils of an array, colored by their currents: red where the upper end is a north pole.
+
+    Attributes:
+        box: Corners of the box around them in the world [m].
+    """
+
+    def __init__(self, scene: viser.SceneApi, program: CoilProgram) -> None:
+        self._most = program.array.values("max_current")
+        self._handles, self._shown = [], np.full((len(self._most), 3), -1)
+        corners = []
+        for number, coil in enumerate(program.array.coils, 1):
+            vertices, faces = coil_mesh(coil)
+            pose = coil.pose(program.T_world_array)
+            handle = scene.add_mesh_simple(f"/coils/{number}", vertices, faces, color=_COIL_OFF)
+            move(handle, pose)
+            self._handles.append(handle)
+            corners.append(transform_points(pose, vertices))
+        points = np.concatenate(corners)
+        self.box = points.min(axis=0), points.max(axis=0)
+
+    def show(self, currents: Float[np.ndarray, " k"]) -> None:
+        """Set the colors by the currents [A]."""
+        share = np.clip(currents / self._most, -1.0, 1.0)[:, None]
+        full = np.where(share > 0.0, _COIL_NORTH, _COIL_SOUTH)
+        colors = np.rint((1.0 - np.abs(share)) * _COIL_OFF + np.abs(share) * full).astype(int)
+        for k in np.flatnonzero((colors != self._shown).any(axis=1)).tolist():
+            self._handles[k].color = tuple(colors[k].tolist())
+        self._shown = colors
+
+
+def coil_mesh(
+    coil: Electromagnet | MappedCoil,
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"]]:
+    """Vertices [m] and triangles of a coil in its frame, z along its moment."""
+    trimesh = import_extra("trimesh", "cockpit")
+
+    if isinstance(coil, MappedCoil):
+        mesh = trimesh.creation.cylinder(_MAPPED_RADIUS, _MAPPED_LENGTH, sections=32)
+    else:
+        half = max(0.5 * coil.thickness, 0.05 * coil.radius)
+        inner = max(coil.radius - half, 0.05 * coil.radius)
+        mesh = trimesh.creation.annulus(inner, coil.radius + half, coil.length, sections=32)
+    return np.array(mesh.vertices), np.array(mesh.faces)
 
 
 _PACKAGE = "share/example-robot-data/robots/{arm}_description/meshes/collision/link{number}.stl"

@@ -1,4 +1,4 @@
-"""3D scene of a drive: organ, capsule, magnet with its gizmo, arm and patient."""
+"""3D scene of a drive: organ, capsule, magnet with its gizmo, or coils, arm and patient."""
 
 from __future__ import annotations
 
@@ -19,7 +19,12 @@ from vrcaps.cockpit.scene.colorings import (
     coloring_names,
     make_coloring,
 )
-from vrcaps.cockpit.scene.external_nodes import MagnetNode, PatientNode, link_meshes
+from vrcaps.cockpit.scene.external_nodes import (
+    CoilNodes,
+    MagnetNode,
+    PatientNode,
+    link_meshes,
+)
 from vrcaps.cockpit.scene.nodes import (
     OrganNode,
     PatchNode,
@@ -117,9 +122,8 @@ class LiveScene:
             on_drag: Called with the ID of a scene's connection, the pose of the dragged gizmo, and
                 whether it is still dragged.
         """
-        program = session.rollout.program
-        assert program is not None
-        self.pace, self._seen, self._session, self._program = Pace(), seen, session, program
+        self.pace, self._seen, self._session = Pace(), seen, session
+        self._program, coils = session.rollout.program, session.rollout.coils
         self._server, self._model, self._scene = server, session.model, server.scene
         names = coloring_names(self._model.organ, is_live=True)
         self.settings = SetScene(names[0], OPACITY, "capsule", 0.5, True, True)
@@ -131,13 +135,17 @@ class LiveScene:
         self._moved, self._wall_time, self._patch_time = 0.0, 0.0, 0.0
         device = self._model.device
         self._capsule = add_capsule(self._scene, "/capsule", device.length, device.radius)
-        self._magnet = MagnetNode(self._scene, read_magnet(program.settings.magnet))
+        self._magnet = None
+        if self._program is not None:
+            self._magnet = MagnetNode(self._scene, read_magnet(self._program.settings.magnet))
+        self._coils = None if coils is None else CoilNodes(self._scene, coils)
         self._patient = PatientNode(self._scene, self._model.organ.vertices)
         self._path = PathNode(self._scene, "/path", _PATH_COLOR)
         self._arm_frames = self._add_arm()
         self._on_drag, self._is_dragged, self._dragging = on_drag, False, threading.Lock()
-        self._gizmo = self._scene.add_transform_controls(GIZMO, scale=0.12, depth_test=False)
-        self._gizmo.on_update(self._follow)
+        if self._magnet is not None:
+            self._gizmo = self._scene.add_transform_controls(GIZMO, scale=0.12, depth_test=False)
+            self._gizmo.on_update(self._follow)
         aim(server, *self.box("all"))
 
     def box(self, target: str) -> tuple[np.ndarray, np.ndarray]:
@@ -149,7 +157,10 @@ class LiveScene:
             return place - half, place + half
         points = self._model.vertices_world if view is None else self._points(view)
         low, high = points.min(axis=0), points.max(axis=0)
-        if target == "all":
+        if target == "all" and self._coils is not None:
+            low = np.minimum(low, self._coils.box[0])
+            high = np.maximum(high, self._coils.box[1])
+        elif target == "all" and self._program is not None and self._magnet is not None:
             pose = self._program.controller.requested if view is None else view.T_world_magnet
             low = np.minimum(low, pose[:3, 3] - self._magnet.radius)
             high = np.maximum(high, pose[:3, 3] + self._magnet.radius)
@@ -163,10 +174,13 @@ class LiveScene:
         self._moved = now
         move(self._capsule, view.state.T_world_capsule)
         self._path.add(view.state.time, view.state.T_world_capsule[:3, 3])
-        self._magnet.show(view.T_world_magnet, has_lines=self.settings.has_lines)
+        if self._magnet is not None:
+            self._magnet.show(view.T_world_magnet, has_lines=self.settings.has_lines)
+            self._move_arm(view)
+            self._move_gizmo(view)
+        if self._coils is not None and view.coils is not None:
+            self._coils.show(view.coils.state.currents)
         self._patient.show(view.T_world_patient, is_visible=self.settings.has_patient)
-        self._move_arm(view)
-        self._move_gizmo(view)
         if now - self._wall_time > _SECONDS_PER_WALL:
             self._wall_time = now
             self._draw_wall(view)
@@ -204,6 +218,7 @@ class LiveScene:
             self._organ.move(points)
 
     def _move_arm(self, view: View) -> None:
+        assert self._program is not None
         actuator = self._program.controller.actuator
         if isinstance(actuator, RobotActuator) and self._arm_frames:
             placed = frames(actuator.robot.arm, view.joint_angles)
@@ -226,7 +241,7 @@ class LiveScene:
 
     def _add_arm(self) -> dict[int, Any]:
         """Add nodes of the arm's links, by frame; empty without an arm."""
-        actuator = self._program.controller.actuator
+        actuator = self._program and self._program.controller.actuator
         if not isinstance(actuator, RobotActuator):
             return {}
         placed = {}

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Float
 
+    from vrcaps.actuation.coil_program import CoilStatus
     from vrcaps.world.model import State
 
 SLOWEST, FASTEST = 0.05, 4.0
@@ -122,6 +123,8 @@ class View:
         lost: Why the magnet does not hold the capsule, see `ControllerStatus`.
         achieved_speed: Simulated time per real time; 0 while paused.
         is_paused: Whether the simulation is paused.
+        coils: Currents and temperatures; None with a magnet, whose poses are those of the array
+            otherwise.
     """
 
     index: int
@@ -135,3 +138,4 @@ class View:
     lost: str
     achieved_speed: float
     is_paused: bool
+    coils: CoilStatus | None = None

@@ -110,12 +110,15 @@ class Drive:
             return scenario
 
     def recorded(self, scenario: Scenario) -> Scenario:
-        """Scenario with the commands of the file, or with a resting magnet if there are none."""
+        """Scenario with the commands of the file, or with none if there are none."""
         motion = scenario.motion
         assert isinstance(motion, Dynamics)
-        assert motion.magnet is not None
         file = FileRef(str(self.folder / COMMANDS_CSV)) if self._num_saved else None
         still = () if file else (JoystickCommand(0.0),)
+        if motion.coils is not None:
+            coils = replace(motion.coils, joystick=still, currents=(), command_file=file)
+            return replace(scenario, motion=replace(motion, coils=coils))
+        assert motion.magnet is not None
         magnet = replace(motion.magnet, joystick=still, waypoints=(), command_file=file)
         return replace(scenario, motion=replace(motion, magnet=magnet))
 

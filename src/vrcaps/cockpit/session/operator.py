@@ -24,11 +24,12 @@ from vrcaps.world.schedule import patient_at
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+    from vrcaps.actuation.coil_program import CoilProgram
     from vrcaps.motion.rollout import Rollout
 
 
 class Operator:
-    """Operator of a `SteeringProgram`.
+    """Operator of a `SteeringProgram` or a `CoilProgram`, whose axes are a force and a torque.
 
     All kinds of input end in axes from −1 to 1, like those of a joystick: keys and pad give them
     directly; a dragged magnet follows the pose by the axes that lead to it at the maximum speed; a
@@ -37,7 +38,7 @@ class Operator:
     same drive.
     """
 
-    def __init__(self, program: SteeringProgram) -> None:
+    def __init__(self, program: SteeringProgram | CoilProgram) -> None:
         self._program = program
         self._lock = threading.Lock()
         self._axes = np.zeros(6)
@@ -92,7 +93,12 @@ class Operator:
         Args:
             T_world_magnet: The pose.
             is_dragging: Whether the driver is still dragging.
+
+        Raises:
+            InputError: If coils are driven.
         """
+        if not isinstance(self._program, SteeringProgram):
+            raise InputError("Coils have no magnet to drag. Use the keys.")
         target = self._program.controller.actuator.workspace.clamp_pose(T_world_magnet)
         with self._lock:
             self._target, self._is_dragging, self._driver = target, is_dragging, None
@@ -134,6 +140,7 @@ class Operator:
             self._driver = None
         if self._target is None:
             return self._axes
+        assert isinstance(self._program, SteeringProgram)
         axes, is_over = axes_towards(self._program, self._target, dt)
         if is_over and not self._is_dragging:
             self._target = None

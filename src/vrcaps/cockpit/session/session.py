@@ -9,7 +9,7 @@ import time as wall_clock
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -58,6 +58,10 @@ _AHEAD = 0.1
 """Delay [s] of a requested turn or insufflation, to start later than all completed steps."""
 
 
+_WEAK = 0.5
+"""Fraction of the commanded force of coils below which they count as too weak."""
+
+
 class _Jump(Exception):
     """Ends a walk through the rollout, to jump to another checkpoint or to close."""
 
@@ -72,7 +76,7 @@ class Session:
         model: Organ and capsule.
         rollout: Simulation.
         clock: Paces and pauses the simulation.
-        operator: Steers the magnet.
+        operator: Steers the magnet or the coils.
         drive: Files of the drive.
         on_message: Called with each message for the user.
     """
@@ -99,10 +103,6 @@ class Session:
         try:
             resolved = cockpit_scenario(with_stored_organ(scenario, folder))
             self.scenario = resolved.scenario
-            if getattr(self.scenario.motion, "coils", None) is not None:
-                raise InputError(
-                    "The cockpit steers by a magnet. Give motion.magnet instead of coils."
-                )
             self.model, rollout = build(resolved)
         except BaseException:
             if is_new:
@@ -110,10 +110,11 @@ class Session:
             raise
         self.on_message = on_message
         assert isinstance(rollout, Rollout)
-        assert rollout.program is not None
+        program = rollout.program or rollout.coils
+        assert program is not None
         self.rollout = rollout
-        self.clock, self.operator = Clock(), Operator(rollout.program)
-        rollout.program.operator = self.operator
+        self.clock, self.operator = Clock(), Operator(program)
+        program.operator = self.operator
         self.drive = Drive(folder, self.operator, self.scenario_so_far)
         self.view: View | None = None
         self._lock = threading.Lock()
@@ -339,24 +340,16 @@ class Session:
         now = wall_clock.perf_counter()
         if now - published < _SECONDS_PER_VIEW and not self.clock.is_paused:
             return
-        program = self.rollout.program
-        assert program is not None
-        status = program.controller.status
         self._published = (index + 1, now)
+        world = self.rollout.world
         self.view = View(
             index=index + 1,
             frame=max(0, len(self._poses) - 1),
-            state=self.rollout.world.state,
+            state=world.state,
             T_world_patient=patient_at(
-                self.model.T_world_patient,
-                self.rollout.settings.posture_changes,
-                self.rollout.world.time,
+                self.model.T_world_patient, self.rollout.settings.posture_changes, world.time
             ),
-            T_world_magnet=status.actuator.T_world_magnet,
-            T_world_requested=program.controller.requested,
-            joint_angles=status.actuator.joint_angles,
-            limit=status.actuator.limit,
-            lost=status.lost,
+            **_actuator_values(self.rollout),
             achieved_speed=self.clock.achieved,
             is_paused=self.clock.is_paused,
         )
@@ -371,6 +364,33 @@ class Session:
             self.drive.save()
         except OSError as error:
             self.on_message(f"Cannot save the drive in {self.drive.folder}: {error.strerror}.")
+
+
+def _actuator_values(rollout: Rollout) -> dict[str, Any]:
+    """Values of a view of the magnet, or of the coils."""
+    if rollout.coils is not None:
+        program = rollout.coils
+        coupling, force = rollout.world.state.coupling, program.target[:3]
+        reached = 0.0 if coupling is None else float(coupling.force_world @ force)
+        is_weak = reached < _WEAK * float(force @ force)
+        return {
+            "T_world_magnet": program.T_world_array,
+            "T_world_requested": program.T_world_array,
+            "joint_angles": np.zeros(0),
+            "limit": program.reached_limit,
+            "lost": "insufficient_force" if is_weak else "",
+            "coils": program.status,
+        }
+    assert rollout.program is not None
+    controller = rollout.program.controller
+    actuator = controller.status.actuator
+    return {
+        "T_world_magnet": actuator.T_world_magnet,
+        "T_world_requested": controller.requested,
+        "joint_angles": actuator.joint_angles,
+        "limit": actuator.limit,
+        "lost": controller.status.lost,
+    }
 
 
 def _always() -> bool:

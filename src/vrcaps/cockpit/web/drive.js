@@ -61,7 +61,7 @@ function begin(values, number) {
   fillSelect($("camera"), values.cameras.map(({ name }) => name));
   setHidden($("camera"), values.cameras.length < 2);
   fillSelect($("channel"), values.channels);
-  fillSelect($("policy"), values.policies);
+  fillSelect($("policy"), values.policies.length ? values.policies : [{ value: "", label: "none for coils" }]);
   fillSelect($("posture"), values.postures, values.posture);
   fillSelect($("light"), values.lights);
   fillSelect($("imaging"), values.imagings);
@@ -69,6 +69,7 @@ function begin(values, number) {
   setText($("max-severity"), String(values.maxSeverity));
   buildEffects();
   buildSegments();
+  buildCoils();
   charts = [0, 1].map((k) => {
     const chart = new Chart($(`chart-${k}`), values.quantities, charts[k]?.index ?? k);
     chart.onChange = drawCharts;
@@ -94,6 +95,42 @@ function buildSegments() {
     Object.assign(part.style, { left: `${100 * start}%`, width: `${100 * (end - start)}%` });
     return part;
   }));
+}
+
+function buildCoils() {
+  const { coils } = setup, has = coils.length > 0, name = (magnet, other) => (has ? other : magnet);
+  setHidden($("coils"), !has);
+  setText($("coils-max"), has ? `${Math.max(...coils.map((coil) => coil.maxCurrent))} A` : "");
+  $("coil-rows").replaceChildren(...coils.map((_, k) => {
+    const row = element("tr", {});
+    row.append(element("th", { scope: "row", textContent: String(k + 1) }), element("td", {}), element("td", {}));
+    return row;
+  }));
+  setText($("limited"), name("Magnet", "Coils"));
+  setText($("keys-move-text"), name("Move, turn", "Pull, torque"));
+  setText($("shift-text"), name("slow", "weak"));
+  setText($("keys-tilt-text"), name("Tilt", "Torque"));
+  setText($("stop-magnet-text"), name("Stop the magnet", "Switch the coils off"));
+  $("keys-move").setAttribute("aria-label", name("Move and turn the magnet", "Pull and turn the capsule by the coils"));
+  $("keys-tilt").setAttribute("aria-label", name("Tilt the magnet", "Tilt the capsule by the coils"));
+}
+
+function showCoils() {
+  const rows = $("coil-rows").children;
+  (status.coils ?? []).slice(0, rows.length).forEach(([current, temperature], k) => {
+    const { maxCurrent, maxTemperature } = setup.coils[k], [, amperes, degrees] = rows[k].children;
+    setText(amperes, `${current.toFixed(1)} A`);
+    setText(degrees, `${temperature.toFixed(1)} of ${maxTemperature} °C`);
+    amperes.classList.toggle("warn", Math.abs(current) > 0.95 * maxCurrent);
+    degrees.classList.toggle("warn", temperature > 0.9 * maxTemperature);
+  });
+}
+
+function couplingText(isLost) {
+  if (setup.hasMagnet !== false) return isLost ? `Magnet lost: ${status.lost}` : "Magnet coupled";
+  if (isLost) return `Coils too weak: ${status.lost}`;
+  const most = Math.max(0, ...(status.coils ?? []).map(([current]) => Math.abs(current)));
+  return most < 0.05 ? "Coils off" : `Coils on, up to ${most.toFixed(1)} A`;
 }
 
 function sendRendering(changed) {
@@ -124,6 +161,7 @@ function showStatus() {
     const hasNoObject = (control.id === "rewind" || control.id === "snapshot") ? !has(snapshots)
       : control.id === "reset" ? !(status.frame > 0)
       : control.id === "stop-magnet" ? !status.isSteering
+      : ["policy", "start-policy", "goal"].includes(control.id) ? !setup.policies.length
       : control.id === "flush" ? !status.hasContents
       : control.id === "record" || control.id === "start-drive" ? status.isBusy || status.isSettling !== false
       : false;
@@ -166,7 +204,8 @@ function showBar(isDriver) {
 function showCamera() {
   const isLost = Boolean(status.lost), coupling = $("coupling");
   coupling.classList.toggle("lost", isLost);
-  setText($("coupling-text"), isLost ? `Magnet lost: ${status.lost}` : "Magnet coupled");
+  setText($("coupling-text"), couplingText(isLost));
+  showCoils();
   setHidden($("limit"), !status.limit);
   setText($("limit-text"), status.limit || "");
   setText($("image-rate"), `${Math.round(status.imageRate)} images/s${status.leavesOutShadows ? ", no shadows" : ""}`);

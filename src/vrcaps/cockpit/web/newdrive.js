@@ -3,7 +3,7 @@
 import { $, fillSelect, setHidden, setText, sliderRow } from "./dom.js";
 import { confirmed, sendFrom } from "./shell.js";
 
-const FIELDS = ["organ", "seed", "lesions", "capsule", "capsule_file", "magnet", "arm"];
+const FIELDS = ["organ", "seed", "lesions", "capsule", "capsule_file", "magnet", "arm", "coils"];
 
 export class NewDriveForm {
   constructor(connection) {
@@ -19,6 +19,7 @@ export class NewDriveForm {
     fillSelect($("new-capsule"), own(values.capsules, values.capsule), values.capsule);
     fillSelect($("new-magnet"), own(values.magnets, values.magnet), values.magnet);
     fillSelect($("new-arm"), own(values.arms, values.arm), values.arm);
+    fillSelect($("new-coils"), own(values.coilArrays, values.coils), values.coils);
     $("new-seed").value = values.seed;
     $("new-lesions").value = $("new-capsule_file").value = "";
     this.sliders = values.severities.map(({ name, label, hint, severity }) => {
@@ -63,7 +64,7 @@ export class NewDriveForm {
     const { error, field } = await sendFrom($("start-drive"), this.connection, "new-drive", {
       organ: organ === this.before.organ ? "" : organ, seed, severities,
       lesions: $("new-lesions").value.trim(), capsule: $("new-capsule").value, capsule_file: $("new-capsule_file").value.trim(),
-      magnet: $("new-magnet").value, arm: $("new-arm").value,
+      magnet: $("new-magnet").value, arm: $("new-arm").value, coils: $("new-coils").value,
     });
     if (error && field) this.fail(field, error);
   }

@@ -40,7 +40,7 @@ def sample(lens=FISHEYE) -> dict:
     return dict(TASK.sample(ellipsoid_sequence(lens, SIDE, SIDE), 2))
 
 
-def true_log_distance(batch) -> torch.Tensor:
+def true_log_distance(batch):
     """ln of the true distances in units of 30 mm."""
     distance = batch["depth"] / batch["ray"][:, 2].clamp(min=0.05)
     return torch.log(distance.nan_to_num(MIDDLE) / MIDDLE)[:, None]

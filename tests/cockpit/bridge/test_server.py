@@ -214,19 +214,22 @@ def test_the_program_of_the_page_runs_until_ctrl_c_ends_the_bridge(scenario, tmp
     port = free_port()
     command = "from vrcaps.cli import main; main()"
     arguments = ["bridge", str(tmp_path / "small.json"), "--port", str(port)]
+    (program,) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
     bridge = subprocess.Popen(
         [sys.executable, "-u", "-c", command, *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
     )
-    assert bridge.stdout is not None
-    lines = iter(bridge.stdout.readline, "")
-    assert any(f"Connect to ws://127.0.0.1:{port}" in line for line in lines)
-    (program,) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
-    result = run_program(program.replace("9090", str(port)), folder=tmp_path)
-    bridge.send_signal(signal.SIGINT)
-    rest, _ = bridge.communicate(timeout=WATCHDOG)
+    try:
+        assert bridge.stdout is not None
+        lines = iter(bridge.stdout.readline, "")
+        assert any(f"Connect to ws://127.0.0.1:{port}" in line for line in lines)
+        result = run_program(program.replace("9090", str(port)), folder=tmp_path)
+        bridge.send_signal(signal.SIGINT)
+        rest, _ = bridge.communicate(timeout=WATCHDOG)
+    finally:
+        bridge.kill()
     assert result.returncode == 0, result.stderr
     assert (tmp_path / "frame.jpg").read_bytes()[:3] == b"\xff\xd8\xff"
     assert "angular velocity" in result.stdout

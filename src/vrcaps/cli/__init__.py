@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from importlib import import_module
@@ -122,6 +123,10 @@ class _Command(Protocol):
     def run(self) -> None: ...
 
 
+_SCENARIO_VERBS = ("record", "cockpit", "bridge")
+"""Verbs whose argument is a scenario file."""
+
+
 def main(args: Sequence[str] | None = None) -> None:
     """Run the command `vrcaps`.
 
@@ -180,18 +185,16 @@ def _parse(args: Sequence[str]) -> _Command:
     named = list(takewhile(lambda arg: not arg.startswith("-"), args))
     verbs = _all_verbs(named)
     check_verb(named, verbs, _NOUNS)
-    if len(named) > 1 and named[0] in (
-        "record",
-        "cockpit",
-        "bridge",
-    ):  # before the scenario is imported
+    if len(named) > 1 and named[0] in _SCENARIO_VERBS:  # before the scenario is imported
         require_file(named[1], "a scenario file (TOML, JSON) or the episode.json of an episode")
     if not args or (args == named and " ".join(named) in _GROUPS and named[0] not in verbs):
         sys.stderr.write(_help(named))
         raise SystemExit(EXIT_BAD_INPUT)
     message = io.StringIO()
     try:
-        with redirect_stderr(message):
+        with redirect_stderr(message), warnings.catch_warnings():
+            # A task of a plug-in need not state the type of its terms, which is not an option.
+            warnings.filterwarnings("ignore", message="Could not resolve type parameter")
             return _app(args)
     except SystemExit as stop:
         # Without this, tyro draws a box around errors that a dataclass raises.

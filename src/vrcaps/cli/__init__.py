@@ -115,10 +115,6 @@ _NOUNS = {"export": "format", "predict": "task", "evaluate": "task or policy"}
 """Terms for the word after the verb of a group, for messages."""
 
 
-_OF_SCENARIOS = ("record", "cockpit", "bridge")
-"""Verbs that take a scenario."""
-
-
 class _Command(Protocol):
     def run(self) -> None: ...
 

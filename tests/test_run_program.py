@@ -45,8 +45,9 @@ def test_a_file_has_its_folder_arguments_and_strict_warnings(tmp_path: Path) -> 
     program.write_text(
         "import atexit, os, sys, threading, warnings, beside\n"
         "atexit.register(print, 'end')\n"
-        "threading.Thread(target=lambda: print('thread')).start()\n"
-        "print(__name__, beside.name, os.getcwd(), *sys.argv[1:])\n"
+        "threading.Thread(target=sys.stdout.write, args=('thread\\n',)).start()\n"
+        "line = ' '.join([__name__, beside.name, os.getcwd(), *sys.argv[1:]])\n"
+        "sys.stdout.write(line + '\\n')\n"
         "warnings.warn('old', stacklevel=1)\n"
     )
     result = run_program(program, "--a", "b", folder=tmp_path)

@@ -9,7 +9,7 @@ import pytest
 from vrcaps.anatomy import catalog
 from vrcaps.mesh.mesh import Mesh, find_edges, signed_volume
 from vrcaps.mesh.self_intersection import self_intersections
-from vrcaps.organ.segments import ORGANS
+from vrcaps.organ.segments import ORGANS, organ_segments
 from vrcaps.tissue.motility.segment import MOTILITIES, segment_motilities
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "extending.md"
@@ -39,4 +39,4 @@ def test_an_organ_of_ones_own_has_a_wall_a_look_and_motility(names):
     assert volume == pytest.approx(np.pi * 0.01**2 * 0.2, rel=0.1)
     assert organ.appearance is not None
     assert segment_motilities()["esophagus"] is MOTILITIES["duodenum"]
-    assert catalog.organ_segments("esophagus") == ("esophagus",)
+    assert organ_segments("esophagus") == ("esophagus",)

@@ -223,7 +223,8 @@ def flood(gate: Gate) -> None:
                     break
             assert answer["error"]
             assert "\n" not in answer["error"]
-    with connect(url) as browser, pytest.raises(ConnectionClosed, match="1008"):
+    # The close frame may be lost while the browser still sends.
+    with connect(url) as browser, pytest.raises(ConnectionClosed, match="1008|no close frame"):
         for _ in range(100_000):
             browser.send('{"command": "pause"')
 

@@ -88,13 +88,13 @@ def aligned(
     color = image.new_tensor(_GRAY).view(1, 3, 1, 1)
     grays = [(one * color).sum(dim=1, keepdim=True) for one in (image, other)]
     none = torch.zeros(len(ray), 6, dtype=ray.dtype, device=ray.device)
-    found = []
+    results = []
     for start in (none, *starts):
         T, cost = pose_matrix(torch.cat([start[:, :3], start[:, 3:] / scale], dim=1)), none[:, 0]
         for stride in _COARSE:
             T, cost = _aligned_at(stride, grays, lens, log, T)
-        found.append((T, cost))
-    Ts, costs = (torch.stack(one) for one in zip(*found, strict=True))
+        results.append((T, cost))
+    Ts, costs = (torch.stack(one) for one in zip(*results, strict=True))
     T = Ts[costs.argmin(dim=0), torch.arange(len(ray))]
     for stride in _FINE:
         T, _ = _aligned_at(stride, grays, lens, log, T)

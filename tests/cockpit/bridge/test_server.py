@@ -212,7 +212,9 @@ def test_the_program_of_the_page_runs_until_ctrl_c_ends_the_bridge(scenario, tmp
     small = replace(scenario, motion=replace(scenario.motion, settle=0.1))
     (tmp_path / "small.json").write_text(json.dumps(scenario_to_plain(small)))
     port = free_port()
-    command = "from vrcaps.cli import main; main()"
+    # A background job ignores Ctrl-C, and so would its children.
+    listen = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    command = f"{listen}; from vrcaps.cli import main; main()"
     arguments = ["bridge", str(tmp_path / "small.json"), "--port", str(port)]
     (program,) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
     bridge = subprocess.Popen(

@@ -224,7 +224,7 @@ def flood(gate: Gate) -> None:
             assert answer["error"]
             assert "\n" not in answer["error"]
     # The close frame may be lost while the browser still sends.
-    with connect(url) as browser, pytest.raises(ConnectionClosed, match="1008|no close frame"):
+    with connect(url) as browser, pytest.raises(ConnectionClosed, match=r"1008|no close frame"):
         for _ in range(100_000):
             browser.send('{"command": "pause"')
 

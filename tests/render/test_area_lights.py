@@ -123,7 +123,7 @@ def test_penumbra_behind_a_half_plane(radius: float) -> None:
 
 
 def test_penumbra_near_an_led() -> None:
-    """At 5 radii each pixel has the quadrature of its own point, so no error grows at edges."""
+    """Each pixel has the quadrature of its own point at 5 radii, instead of a mean over others."""
     fraction, closed, x = _half_plane(RADIUS, 1.5 * MM, 1.2 * MM)
     error, hard = np.abs(fraction - closed), np.abs((x > 0.0) - closed)
     assert (hard > 0.1).mean() > 0.3

@@ -40,7 +40,7 @@ struct ElementArrays<'py> {
     stiffening: f64,
 }
 
-/// How the surface hangs on it: `vrcaps.tissue.fem.wall.Embedding`.
+/// Embedding of the surface in it, as in `vrcaps.tissue.fem.wall.Embedding`.
 #[derive(FromPyObject)]
 struct EmbeddingArrays<'py> {
     nodes: PyReadonlyArray2<'py, u32>,

@@ -18,8 +18,7 @@ import numpy as np
 import vrcaps
 from vrcaps.env import ForcePenalty, LogGain
 from vrcaps.policy import Score, TrainingSettings, read_policy, train
-from vrcaps.policy.presets import ci, default
-from vrcaps.policy.training import BEST
+from vrcaps.policy.training import BEST, ci, default
 from vrcaps.training import Progress
 
 

@@ -18,9 +18,8 @@ from vrcaps.core.geometry import invert, matrix_from_quaternion, transform_from,
 from vrcaps.formats.io import read_format
 from vrcaps.formats.shared.stored_images import image_size, read_plane, read_rgb
 from vrcaps.formats.shared.text_files import read_yaml
-from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import Backbone
-from vrcaps.learn.picture_border import tissue_view
+from vrcaps.learn.picture_border import Letterbox, tissue_view
 from vrcaps.learn.samples import batch_of
 from vrcaps.learn.tasks.depth import DepthTask, depth_of
 from vrcaps.metrics.depth import depth_errors

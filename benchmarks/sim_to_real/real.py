@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.sim_to_real.images import Pictures, alike, balanced_folds, disc_only, merged
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.formats.io import read_format
-from vrcaps.learn.letterbox import Letterbox
+from vrcaps.learn.picture_border import Letterbox
 
 LAYOUTS: Mapping[str, tuple[str, ...]] = {
     "wce_bleedgen": ("bleedgen",),

@@ -12,7 +12,7 @@ import csv
 from pathlib import Path
 
 from benchmarks.common.scripts import ROOT, parser, table, write_section
-from vrcaps.cli.evaluate import Evaluate
+from vrcaps.cli.policy import Evaluate
 from vrcaps.core.files import write_bytes
 from vrcaps.tools.reports.evaluation import PICTURE, TABLE
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common.scripts import ROOT, parser, table, write_section
-from vrcaps.cli.evaluate import Evaluate
+from vrcaps.cli.policy import Evaluate
 from vrcaps.metrics.bootstrap import bootstrap
 from vrcaps.policy.evaluation import EPISODES, PAPER_COVERAGE, PAPER_TIME, read_rows
 

@@ -12,7 +12,7 @@ import av
 import numpy as np
 from PIL import Image
 
-from vrcaps.cli.evaluate import Evaluate
+from vrcaps.cli.policy import Evaluate
 from vrcaps.tools.reports.evaluation import VIDEO
 
 POLICY, TIME_S = "coverage-ppo", 15.0

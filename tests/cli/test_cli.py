@@ -21,8 +21,7 @@ from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.replay import Replay
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated, Scenario
-from vrcaps.sensors.imu import Imu
-from vrcaps.sensors.sensors import HallPad, Sensors
+from vrcaps.sensors.sensors import HallPad, Imu, Sensors
 
 
 def stop(args: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:

@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.small_envs import SHORT_GUT, small_settings
 from vrcaps.cli import main
-from vrcaps.cli.evaluate import Evaluate
+from vrcaps.cli.policy import Evaluate
 from vrcaps.core.errors import InputError, VrcapsError
 from vrcaps.env.actuation import Wrench
 from vrcaps.env.settings import EnvSettings

@@ -9,24 +9,23 @@ import pytest
 
 from tests.support.small_envs import SHORT_GUT, small_settings
 from vrcaps.cli import main
-from vrcaps.cli.train import Coverage
+from vrcaps.cli.policy import Coverage
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.env.patients import parse_organs
-from vrcaps.policy import presets
-from vrcaps.policy.training import TrainingSettings
+from vrcaps.policy.training import PRESETS, TrainingSettings, ci, paper
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated
 
 OUT = Path("unused")
 
 
-@pytest.mark.parametrize("name", presets.PRESETS)
+@pytest.mark.parametrize("name", PRESETS)
 def test_every_preset_is_a_training(name: str) -> None:
-    assert isinstance(presets.PRESETS[name](), TrainingSettings)
+    assert isinstance(PRESETS[name](), TrainingSettings)
 
 
 def test_the_papers_preset_states_the_papers_figures() -> None:
     """Incetan et al. 2021, section on area coverage."""
-    env, learner = presets.paper().env, presets.paper().learner
+    env, learner = paper().env, paper().learner
     assert round(env.episode_time * 30.0) == 7500
     assert learner.hidden == (256, 256, 256)
     assert (learner.batch, learner.learning_rate, learner.num_actions) == (64, 3e-4, 500_000)
@@ -83,12 +82,12 @@ def test_a_run_from_the_command_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("stable_baselines3")
-    ours = presets.ci()
+    ours = ci()
     env = small_settings(
         organs=(SHORT_GUT,), control_period=0.01, episode_time=0.04, num_points=256
     )
     learner = replace(ours.learner, num_actions=8, evaluate_every=1)
-    monkeypatch.setitem(presets.PRESETS, "ci", lambda: TrainingSettings(env, learner))
+    monkeypatch.setitem(PRESETS, "ci", lambda: TrainingSettings(env, learner))
     main(["train", "coverage", "--out", str(tmp_path / "run"), "--preset", "ci", "--tensorboard"])
     said = capsys.readouterr().out
     assert "round 1 of 1, 8 actions, " in said

@@ -30,7 +30,7 @@ from vrcaps.core.files import (
     write_bytes,
     write_json,
 )
-from vrcaps.core.locks import FolderInUseError
+from vrcaps.core.processes import FolderInUseError
 
 
 def test_a_failed_write_leaves_what_was_there(tmp_path):

@@ -9,7 +9,7 @@ import yaml
 from vrcaps.cli import main
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.data.card import CARD, card_text, write_card
-from vrcaps.data.counts import (
+from vrcaps.data.dataset import (
     by_split,
     count,
     count_by,

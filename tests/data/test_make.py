@@ -12,7 +12,7 @@ from tests.support.failing import fail
 from vrcaps.cli import main
 from vrcaps.core import build_info as made_with
 from vrcaps.core.errors import InputError, StorageError
-from vrcaps.core.locks import FolderInUseError, file_lock
+from vrcaps.core.processes import FolderInUseError, file_lock
 from vrcaps.data.check import check_dataset
 from vrcaps.data.estimate import Estimate
 from vrcaps.data.ledger import enter_failure, entries, failures

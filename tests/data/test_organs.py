@@ -13,8 +13,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import transform_points
 from vrcaps.data.check import check_dataset
 from vrcaps.data.ledger import entries
-from vrcaps.data.organs import store_organ
-from vrcaps.data.store import LocalStore
+from vrcaps.data.store import LocalStore, store_organ
 from vrcaps.organ.surface import OrganSurface, organ_sha256
 from vrcaps.recording.check import check_episode
 

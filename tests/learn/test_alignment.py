@@ -12,12 +12,15 @@ pytest.importorskip("segmentation_models_pytorch", reason="its package is not in
 
 from tests.support.ellipsoid_sequence import ellipsoid_sequence  # noqa: E402
 from vrcaps.camera.lens import LensEquidistant, LensPinhole  # noqa: E402
-from vrcaps.learn.alignment import aligned, motion_of, relative_brightness  # noqa: E402
 from vrcaps.learn.losses import pose_matrix  # noqa: E402
-from vrcaps.learn.motion_augment import cropped, mirrored, transposed  # noqa: E402
-from vrcaps.learn.motion_loss import flow_error, motion_error  # noqa: E402
 from vrcaps.learn.motion_solver import Flow, motion_from_flow, mutual_motion  # noqa: E402
-from vrcaps.learn.motion_steps import common_region  # noqa: E402
+from vrcaps.learn.motion_steps import (  # noqa: E402
+    aligned,
+    common_region,
+    motion_of,
+    relative_brightness,
+)
+from vrcaps.learn.motion_training import cropped, flow_error, mirrored, motion_error, transposed  # noqa: E402  # noqa: E402
 from vrcaps.learn.networks import Backbone  # noqa: E402
 from vrcaps.learn.samples import batch_of  # noqa: E402
 from vrcaps.learn.tasks.depth import MIDDLE  # noqa: E402

@@ -31,11 +31,11 @@ from vrcaps.learn.evaluation import (  # noqa: E402
     worst_frames,
     write_evaluation,
 )
-from vrcaps.learn.letterbox import Letterbox  # noqa: E402
 from vrcaps.learn.networks import Backbone  # noqa: E402
 from vrcaps.learn.perturbation import PERTURBATIONS, Perturbation  # noqa: E402
+from vrcaps.learn.picture_border import Letterbox  # noqa: E402
 from vrcaps.learn.prediction import predict  # noqa: E402
-from vrcaps.learn.responses import constant_outputs  # noqa: E402
+from vrcaps.learn.publishing import constant_outputs  # noqa: E402
 from vrcaps.learn.samples import frame_groups, samples_of  # noqa: E402
 from vrcaps.learn.tasks.classification import ClassificationTask  # noqa: E402
 from vrcaps.learn.tasks.depth import DepthTask  # noqa: E402

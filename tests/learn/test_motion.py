@@ -18,9 +18,9 @@ from vrcaps.core.geometry import transform_from  # noqa: E402
 from vrcaps.learn.checkpoint import TrainedNetwork, write_weights  # noqa: E402
 from vrcaps.learn.evaluation import compared_sequences  # noqa: E402
 from vrcaps.learn.initialize import initialized_network  # noqa: E402
-from vrcaps.learn.letterbox import Letterbox  # noqa: E402
 from vrcaps.learn.motion_errors import aligned_rmse, motion_baselines, motion_errors  # noqa: E402
 from vrcaps.learn.networks import Backbone  # noqa: E402
+from vrcaps.learn.picture_border import Letterbox  # noqa: E402
 from vrcaps.learn.samples import batch_of, samples_of  # noqa: E402
 from vrcaps.learn.tasks.classification import ClassificationTask  # noqa: E402
 from vrcaps.learn.tasks.depth import DepthTask  # noqa: E402

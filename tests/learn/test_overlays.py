@@ -9,9 +9,8 @@ import pytest
 
 from tests.support.small_frames import SIDE, small_sequence
 from vrcaps.core.errors import InputError
-from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import Backbone
-from vrcaps.learn.picture_border import Overlay, tissue_mask
+from vrcaps.learn.picture_border import Letterbox, Overlay, tissue_mask
 from vrcaps.learn.tasks.classification import ClassificationTask
 
 LEARNER = ClassificationTask(("normal", "polyp"), backbone=Backbone(64))

@@ -198,7 +198,7 @@ def test_predict_estimates_what_evaluate_scores(tmp_path) -> None:
     predict(trained, (one,), tmp_path / "out")
     written = read_image(tmp_path / "out" / "a" / "000000.png").astype(float) * 1e-5
     view = view_of(one, framed(), predicts_lengths=True)
-    from vrcaps.learn.letterbox import Letterbox
+    from vrcaps.learn.picture_border import Letterbox
 
     expected = view.whole(Letterbox(HEIGHT, WIDTH, 32).back(depth_of(found.outputs[0])))
     np.testing.assert_allclose(written, expected, atol=0.51e-5)

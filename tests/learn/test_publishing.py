@@ -11,9 +11,9 @@ from tests.support.small_frames import SIDE, small_sequence  # noqa: E402
 from vrcaps.core.errors import InputError  # noqa: E402
 from vrcaps.learn.checkpoint import TrainedNetwork, read_weights  # noqa: E402
 from vrcaps.learn.hub import read_index  # noqa: E402
-from vrcaps.learn.letterbox import Letterbox  # noqa: E402
 from vrcaps.learn.networks import Backbone  # noqa: E402
-from vrcaps.learn.responses import (  # noqa: E402
+from vrcaps.learn.picture_border import Letterbox  # noqa: E402
+from vrcaps.learn.publishing import (  # noqa: E402
     MIN_RESPONSE,
     probes,
     require_responses,

@@ -9,8 +9,8 @@ import pytest
 from tests.support.small_frames import COUNT, LENS, SIDE, image_of, small_sequence
 from vrcaps.core.errors import InputError
 from vrcaps.learn.augment import Augmentation
-from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import Backbone
+from vrcaps.learn.picture_border import Letterbox
 from vrcaps.learn.samples import Samples, samples_of, split_samples
 from vrcaps.learn.tasks.classification import ClassificationTask
 from vrcaps.learn.tasks.depth import DepthTask

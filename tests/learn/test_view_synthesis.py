@@ -14,7 +14,6 @@ from vrcaps.camera.camera import Camera, pixel_grid  # noqa: E402
 from vrcaps.camera.lens import LensEquidistant, LensKannalaBrandt, LensPinhole  # noqa: E402
 from vrcaps.core.errors import InputError  # noqa: E402
 from vrcaps.learn.checkpoint import read_weights  # noqa: E402
-from vrcaps.learn.letterbox import Letterbox  # noqa: E402
 from vrcaps.learn.losses import (  # noqa: E402
     inconsistency,
     match_brightness,
@@ -23,9 +22,10 @@ from vrcaps.learn.losses import (  # noqa: E402
     smoothness,
     synthesize_view,
 )
-from vrcaps.learn.motion_loss import true_flow  # noqa: E402
 from vrcaps.learn.motion_solver import Flow, motion_from_flow, mutual_motion  # noqa: E402
+from vrcaps.learn.motion_training import true_flow  # noqa: E402
 from vrcaps.learn.networks import Backbone  # noqa: E402
+from vrcaps.learn.picture_border import Letterbox  # noqa: E402
 from vrcaps.learn.samples import Samples, batch_of  # noqa: E402
 from vrcaps.learn.settings import TrainSettings  # noqa: E402
 from vrcaps.learn.tasks.depth import MIDDLE  # noqa: E402

@@ -10,8 +10,7 @@ import pytest
 from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.config.fields import with_checksums
 from vrcaps.core.errors import InputError
-from vrcaps.mucosa.mucosa import MUCOSAE
-from vrcaps.mucosa.settings import MucosaSettings
+from vrcaps.mucosa.mucosa import MUCOSAE, MucosaSettings
 from vrcaps.scenario.scenario import OrganGenerated
 from vrcaps.scenario.settings import settings
 

@@ -13,10 +13,9 @@ pytest.importorskip("stable_baselines3")
 
 from tests.support.small_envs import SHORT_GUT, small_settings
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.policy import presets
 from vrcaps.policy.mlp_policy import read_mlp_policy
 from vrcaps.policy.ppo import Ppo
-from vrcaps.policy.training import TrainingSettings, start_file, train, warm_start
+from vrcaps.policy.training import TrainingSettings, ci, start_file, train, warm_start
 from vrcaps.training import _with_grown
 
 
@@ -25,7 +24,7 @@ def settings(actions: int = 8, **learner) -> TrainingSettings:
     env = small_settings(
         organs=(SHORT_GUT,), control_period=0.01, episode_time=0.04, num_points=256
     )
-    ours = replace(presets.ci().learner, num_actions=actions, evaluate_every=1, **learner)
+    ours = replace(ci().learner, num_actions=actions, evaluate_every=1, **learner)
     return TrainingSettings(env, ours)
 
 

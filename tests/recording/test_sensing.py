@@ -18,8 +18,7 @@ from vrcaps.recording.sensing import SensorReadings
 from vrcaps.recording.table import FrameTable
 from vrcaps.scenario.build import ResolvedScenario, resolve
 from vrcaps.scenario.scenario import Scenario, scenario_from_plain, scenario_to_plain
-from vrcaps.sensors.imu import Imu, Magnetometer
-from vrcaps.sensors.sensors import HallPad, Sensors, hall_array
+from vrcaps.sensors.sensors import HallPad, Imu, Magnetometer, Sensors, hall_array
 from vrcaps.world.model import Model, State
 
 GRAVITY = np.array([0.0, 0.0, -9.80665])

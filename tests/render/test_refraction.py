@@ -17,7 +17,7 @@ from vrcaps.lumen.particles import BUBBLE, WHITE, Spheres
 from vrcaps.lumen.pools import Pools
 from vrcaps.organ.surface import Appearance, OrganSurface
 from vrcaps.render.channels import Frame
-from vrcaps.render.refraction import refract_paths, surface_heights
+from vrcaps.render.flow import refract_paths, surface_heights
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.world.model import State

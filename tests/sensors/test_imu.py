@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.scenes import random_poses
 from vrcaps.core.errors import InputError
-from vrcaps.sensors.imu import (
+from vrcaps.sensors.sensors import (
     CapsuleKinematics,
     Imu,
     Magnetometer,

@@ -14,9 +14,8 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import rotate_by_vector, rotation_vector, transform_from
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import magnet_pose
-from vrcaps.sensors.imu import Imu
 from vrcaps.sensors.pose_filter import PoseBelief, correct, located_magnet, predict
-from vrcaps.sensors.sensors import hall_array
+from vrcaps.sensors.sensors import Imu, hall_array
 from vrcaps.sensors.tracking import CapsuleTracker, TrackingSensors
 from vrcaps.world.control import GRAVITY
 from vrcaps.world.model import Model, posture_transform

@@ -157,7 +157,7 @@ def _ledger(folder: Path, episode: Episode) -> Target:
 def _read_dataset(place: Path) -> None:
     from vrcaps.data import dataset
     from vrcaps.data.card import read_plan_of
-    from vrcaps.data.counts import rows_of
+    from vrcaps.data.dataset import rows_of
     from vrcaps.data.ledger import failures
     from vrcaps.data.store import open_store
 

@@ -16,9 +16,8 @@ from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.surface import CLOSED_RADIUS, POCKETS
 from vrcaps.render.renderer import DEFAULT_CHANNELS as CHANNELS
 from vrcaps.render.renderer import Renderer
-from vrcaps.world.closure import LumenClosure, closure_of
 from vrcaps.world.model import Model, State
-from vrcaps.world.wall_displacement import WallDisplacement
+from vrcaps.world.wall_displacement import LumenClosure, WallDisplacement, closure_of
 
 RADIUS, LENGTH, CLOSED = 8 * MM, 200 * MM, 2 * MM
 

@@ -35,7 +35,7 @@ _VERBS = {
         "Steer a capsule from a browser.",
     ),
     "bridge": (
-        "vrcaps.cli.bridge",
+        "vrcaps.cli.cockpit",
         "Bridge",
         "Publish sensors and accept commands over WebSocket.",
     ),
@@ -53,7 +53,7 @@ _VERBS = {
     "dataset check": ("vrcaps.cli.dataset", "Check", "Verify a data set."),
     "dataset card": ("vrcaps.cli.dataset", "Card", "Write the data card of a data set."),
     "dataset show": ("vrcaps.cli.dataset", "Show", "Show the contents of a data set."),
-    "evaluate": ("vrcaps.cli.evaluate", "Evaluate", "Evaluate policies that steer the capsule."),
+    "evaluate": ("vrcaps.cli.policy", "Evaluate", "Evaluate policies that steer the capsule."),
     "organ list": ("vrcaps.cli.organ", "List", "List organs, lesions, mucosae, capsules."),
     "organ inspect": ("vrcaps.cli.organ", "Inspect", "Measure and draw an organ."),
     "organ from-ct": ("vrcaps.cli.from_ct", "FromCt", "Create organs from a CT scan or labels."),
@@ -75,7 +75,7 @@ _VERBS = {
     "bench record": ("vrcaps.cli.bench", "Record", "Measure recording to disk."),
     "bench world": ("vrcaps.cli.bench", "World", "Measure the physics."),
     "train coverage": (
-        "vrcaps.cli.train",
+        "vrcaps.cli.policy",
         "Coverage",
         "Train a policy for coverage, by PPO.",
     ),

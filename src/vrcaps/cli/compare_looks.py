@@ -113,8 +113,13 @@ class CompareLooks:
         """Print the distances, and write the report to a folder if one is given."""
         from rich.table import Table
 
-        from vrcaps.tools.appearance.compare import compare, halves, without_duplicates
-        from vrcaps.tools.appearance.report import rows_of, write_report
+        from vrcaps.tools.appearance.compare import (
+            compare,
+            halves,
+            rows_of,
+            without_duplicates,
+            write_report,
+        )
 
         images = {name: self._read(name, source) for name, source in sources.items()}
         real = without_duplicates(_described(images.pop("real")))

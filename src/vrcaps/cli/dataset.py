@@ -14,7 +14,7 @@ from vrcaps.cli.console import console, progress_bar
 from vrcaps.core.errors import InputError, require_extra
 
 if TYPE_CHECKING:
-    from vrcaps.data.counts import Row
+    from vrcaps.data.dataset import Row
     from vrcaps.data.plan import Plan
     from vrcaps.data.runners.local import Runner
     from vrcaps.data.units import Units
@@ -126,7 +126,7 @@ class Check:
         """
         require_folder(self.dataset, _DATASET)
         from vrcaps.data.check import check_dataset
-        from vrcaps.data.counts import by_split, count, rows_of, shared_organs
+        from vrcaps.data.dataset import by_split, count, rows_of, shared_organs
         from vrcaps.data.store import open_store
 
         workers = _workers(self.workers)
@@ -299,7 +299,7 @@ class Show:
         require_extra("reports", "matplotlib")
         from vrcaps.data import open as open_dataset
         from vrcaps.data.card import read_plan_of
-        from vrcaps.data.counts import rows_of
+        from vrcaps.data.dataset import rows_of
         from vrcaps.data.store import open_store
         from vrcaps.data.units import Units
         from vrcaps.tools.reports.dataset_page import write_page
@@ -333,7 +333,7 @@ def _print_counts(rows: Sequence[Row]) -> None:
     from rich.table import Table
 
     from vrcaps.data.card import duration_text, size_text
-    from vrcaps.data.counts import by_split, count, count_by, lesion_counts
+    from vrcaps.data.dataset import by_split, count, count_by, lesion_counts
 
     table = Table(box=None, padding=(0, 2, 0, 0))
     for name in ("", "patients", "recordings", "frames", "recorded", "size"):

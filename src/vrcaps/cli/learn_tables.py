@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def warn_if_constant(trained: TrainedNetwork) -> None:
     """Print a line if an output of a network does not depend on its image."""
-    from vrcaps.learn.responses import MIN_RESPONSE, constant_outputs
+    from vrcaps.learn.publishing import MIN_RESPONSE, constant_outputs
 
     constant = constant_outputs(trained)
     if constant:

@@ -29,7 +29,7 @@ import numpy as np
 from platformdirs import user_cache_path
 
 from vrcaps.core.errors import InputError, StorageError
-from vrcaps.core.locks import file_lock, try_lock
+from vrcaps.core.processes import file_lock, try_lock
 
 TEMPORARY = ".tmp"
 """Suffix of files that are still being written; their names start with a dot."""

@@ -1,16 +1,25 @@
-"""Worker processes that end with the process that started them."""
+"""Worker processes that end with their parent, and file locks that end with their process."""
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import errno
+import json
 import multiprocessing
 import os
+import platform
 import signal
 import sys
 import threading
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from multiprocessing.connection import wait
+from pathlib import Path
 from typing import Any
+
+from vrcaps.core.errors import InputError, StorageError
 
 _PR_SET_PDEATHSIG = 1
 
@@ -67,3 +76,125 @@ def kill_with_parent(parent: int) -> None:
 def _exit_after(sentinel: int) -> None:
     wait([sentinel])
     os._exit(1)
+
+
+_HELD = {errno.EACCES, errno.EAGAIN, errno.EDEADLK}
+_UNSUPPORTED = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
+
+
+class FolderInUseError(InputError):
+    """A folder that another process is writing to."""
+
+
+@contextmanager
+def file_lock(path: Path, what: str) -> Iterator[None]:
+    """Hold a lock file, which is created with its folder and removed after the block.
+
+    The operating system releases the lock when its process ends in any way, so the file of a
+    killed process locks nothing. The file names the process that holds it.
+
+    Args:
+        path: The file.
+        what: Output that the lock protects, for messages.
+
+    Raises:
+        FolderInUseError: If another process or thread holds it.
+        StorageError: If it cannot be created.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = _acquire(path, what)
+    except OSError as error:
+        raise StorageError(f"Cannot write {what}: {error}.") from error
+    try:
+        yield
+    finally:
+        _release(file, path)
+
+
+def _acquire(path: Path, what: str) -> int:
+    """Open and lock the file.
+
+    Raises:
+        FolderInUseError: If another process holds it.
+        OSError: If it cannot be created.
+    """
+    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
+    while True:
+        file = os.open(path, flags, 0o666)
+        try:
+            _require_lock(file)
+            is_own = path.exists() and os.path.samestat(os.fstat(file), path.stat())
+        except OSError as error:
+            os.close(file)
+            if error.errno not in _HELD:
+                raise
+            raise FolderInUseError(
+                f"{_holder(path)} is writing {what}. Wait until it finishes or give another folder."
+            ) from error
+        if is_own:
+            break
+        os.close(file)  # of a recorder that has just ended and removed its file
+    os.ftruncate(file, 0)
+    os.write(file, json.dumps({"pid": os.getpid(), "host": platform.node()}).encode())
+    return file
+
+
+def _release(file: int, path: Path) -> None:
+    """Remove the file while it is locked; on Windows, which keeps open files, after closing it."""
+    with contextlib.suppress(OSError):
+        if sys.platform != "win32":
+            path.unlink()
+        os.close(file)
+        if sys.platform == "win32":
+            path.unlink()
+
+
+def try_lock(file: int) -> bool:
+    """Lock an open file until it is closed, without waiting.
+
+    Returns:
+        True if it is locked now, False if the file system has no locks.
+
+    Raises:
+        OSError: If another process or thread holds it.
+    """
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            os.lseek(file, 1 << 30, os.SEEK_SET)  # beyond the text, which others read
+            msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
+            os.lseek(file, 0, os.SEEK_SET)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno not in _UNSUPPORTED:
+            raise
+        return False
+    return True
+
+
+def _require_lock(file: int) -> None:
+    """Lock an open file; warn if the file system has no locks.
+
+    Raises:
+        OSError: If another process or thread holds it.
+    """
+    if not try_lock(file):
+        warnings.warn(
+            "The file system of the output folder has no locks: do not start a second command "
+            "that writes into it.",
+            stacklevel=2,
+        )
+
+
+def _holder(path: Path) -> str:
+    """Process that wrote the lock, for messages."""
+    try:
+        held = json.loads(path.read_text(encoding="utf-8"))
+        return f"Process {held['pid']} on {held['host']}"
+    except (OSError, ValueError, LookupError, TypeError):
+        return "Another process"

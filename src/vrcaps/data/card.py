@@ -16,7 +16,7 @@ from typing import Any
 
 from vrcaps.config.convert import to_plain
 from vrcaps.config.plain_files import front_matter, size_category
-from vrcaps.data.counts import (
+from vrcaps.data.dataset import (
     Count,
     Row,
     by_split,

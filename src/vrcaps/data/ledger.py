@@ -21,9 +21,8 @@ from vrcaps.core.build_info import made_here
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.files import file_sha256, files_in
 from vrcaps.core.names import require_name
-from vrcaps.data.organs import StoredOrgan
 from vrcaps.data.plan import Plan, plan_to_plain
-from vrcaps.data.store import Store
+from vrcaps.data.store import Store, StoredOrgan
 from vrcaps.data.units import Unit
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.scenario.scenario import MAX_FRAMES

@@ -14,9 +14,8 @@ from pathlib import Path
 from vrcaps.core.build_info import made_here
 from vrcaps.core.errors import InputError, StorageError, VrcapsError, reason_of
 from vrcaps.data.ledger import EPISODES, enter, entry_of, is_complete
-from vrcaps.data.organs import organ_entry, store_organ
 from vrcaps.data.plan import Plan
-from vrcaps.data.store import Store, open_store
+from vrcaps.data.store import Store, open_store, organ_entry, store_organ
 from vrcaps.data.units import Unit, Units
 from vrcaps.organ.cache import short_lived_organs
 
@@ -111,7 +110,7 @@ def make_unit(units: Units, store: Store, index: int) -> None:
         VrcapsError: If it cannot be made.
         OSError: If it cannot be written.
     """
-    from vrcaps.core.locks import FolderInUseError, file_lock
+    from vrcaps.core.processes import FolderInUseError, file_lock
 
     unit = units[index]
     lock = store.staging(f"{unit.name}.lock")

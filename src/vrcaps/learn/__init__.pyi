@@ -6,9 +6,9 @@ from .checkpoint import write_weights as write_weights
 from .evaluation import EvaluationResult as EvaluationResult
 from .evaluation import evaluate as evaluate
 from .hub import find_weights as find_weights
-from .letterbox import Letterbox as Letterbox
 from .networks import Backbone as Backbone
 from .networks import UNet as UNet
+from .picture_border import Letterbox as Letterbox
 from .prediction import images_of as images_of
 from .prediction import predict as predict
 from .publishing import publish as publish

@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import feature_network
+from vrcaps.learn.picture_border import Letterbox
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8

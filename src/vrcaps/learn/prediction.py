@@ -19,9 +19,9 @@ from vrcaps.formats.detection.image_folders import file_name
 from vrcaps.formats.io import read_source
 from vrcaps.learn.checkpoint import TrainedNetwork
 from vrcaps.learn.evaluation import stack_vertically
-from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.picture_border import (
     LENS_NEEDED,
+    Letterbox,
     PictureView,
     assumed_camera,
     input_image,

@@ -10,9 +10,9 @@ import numpy as np
 from torch import Tensor, nn
 
 from vrcaps.config.convert import register_family
-from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import Backbone
 from vrcaps.learn.perturbation import Perturbation
+from vrcaps.learn.picture_border import Letterbox
 from vrcaps.learn.registry import TASKS
 from vrcaps.recording.frame_sequence import FrameSequence
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import require
+from vrcaps.core.rng import drawn_along
 from vrcaps.core.units import MM
-from vrcaps.lumen.along_gut import drawn_along
 
 CM2 = 1e-4
 """A square centimeter [m²]."""

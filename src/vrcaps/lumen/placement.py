@@ -12,8 +12,8 @@ import numpy as np
 
 from vrcaps._core import Wall
 from vrcaps.core.geometry import unit
+from vrcaps.core.rng import normal_along
 from vrcaps.core.units import MM
-from vrcaps.lumen.along_gut import normal_along
 from vrcaps.lumen.contents import Bubbles, Chyme
 from vrcaps.lumen.particles import BUBBLE, FIRST_CLUMP, WHITE, YELLOW, Spheres, no_spheres
 from vrcaps.organ.surface import OrganSurface

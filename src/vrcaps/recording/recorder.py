@@ -86,7 +86,7 @@ def record(
         progress: Called with the number of complete frames and the total.
         simulated: Called by a physics motion with the simulated time so far and in total [s].
         store_organ: Stores the organ elsewhere and returns its path relative to the episode, see
-            `vrcaps.data.organs`; None stores it in the episode.
+            `vrcaps.data.store`; None stores it in the episode.
 
     Returns:
         The folder.

@@ -23,7 +23,7 @@ from vrcaps.core.files import (
     write_arrays,
     write_json,
 )
-from vrcaps.core.locks import file_lock
+from vrcaps.core.processes import file_lock
 from vrcaps.motion.motion import MotionState
 from vrcaps.organ.organ_file import write_organ
 from vrcaps.organ.surface import OrganSurface

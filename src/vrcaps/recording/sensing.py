@@ -15,12 +15,14 @@ from vrcaps.core.rng import stream
 from vrcaps.magnet.field import field as flux_density
 from vrcaps.magnet.sources import Dipole, Source, UniformField, magnet_pose
 from vrcaps.sensors.hall import localize, perturb_calibration, read_hall
-from vrcaps.sensors.imu import (
+from vrcaps.sensors.sensors import (
     CapsuleKinematics,
+    HallPad,
+    Sensors,
+    hall_array,
     read_imu,
     read_magnetometer,
 )
-from vrcaps.sensors.sensors import HallPad, Sensors, hall_array
 
 if TYPE_CHECKING:
     from jaxtyping import Float

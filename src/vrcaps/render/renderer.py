@@ -22,10 +22,17 @@ from vrcaps.render.channels import (
     layout,
     needs,
 )
-from vrcaps.render.flow import SurfacePoints, flow, visibility
+from vrcaps.render.flow import (
+    REFLECTED,
+    RefractedPaths,
+    SurfacePoints,
+    flow,
+    refract_paths,
+    surface_heights,
+    visibility,
+)
 from vrcaps.render.imaging import make_imaging
 from vrcaps.render.immersion import Immersion
-from vrcaps.render.refraction import REFLECTED, RefractedPaths, refract_paths, surface_heights
 from vrcaps.render.sampling import (
     PathSampling,
     crop_margin,

@@ -15,7 +15,7 @@ from vrcaps.core.errors import InputError, require_extra
 from vrcaps.core.units import LENGTH_UNITS
 from vrcaps.lesion import Lesion, add_lesions, lesion_rng
 from vrcaps.lesion.placement import require_possible
-from vrcaps.mucosa.settings import MucosaSettings
+from vrcaps.mucosa.mucosa import MucosaSettings
 from vrcaps.organ.organ_file import is_organ_file
 from vrcaps.organ.segments import ORGANS
 from vrcaps.organ.surface import OrganSurface

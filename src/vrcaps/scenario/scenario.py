@@ -20,8 +20,7 @@ from vrcaps.lesion import Lesion, draw_lesions, parse_lesion
 from vrcaps.lumen.contents import Contents
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.motion import MotionSettings
-from vrcaps.mucosa.mucosa import is_texture_path
-from vrcaps.mucosa.settings import MucosaSettings
+from vrcaps.mucosa.mucosa import MucosaSettings, is_texture_path
 from vrcaps.organ.segments import ORGANS, Distension, organ_segments
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.channels import CHANNELS

@@ -10,7 +10,7 @@ import numpy as np
 from vrcaps.core.geometry import rotate_by_vector, rotation_vector, transform_from
 from vrcaps.magnet.sources import Dipole, InternalMagnet, magnet_pose
 from vrcaps.sensors.hall import magnet_readings
-from vrcaps.sensors.imu import Imu
+from vrcaps.sensors.sensors import Imu
 from vrcaps.world.control import GRAVITY
 
 if TYPE_CHECKING:

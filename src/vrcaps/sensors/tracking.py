@@ -16,9 +16,15 @@ from vrcaps.core.units import DEG, MM
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.sources import Source, UniformField, magnet_pose
 from vrcaps.sensors.hall import HallArray, perturb_calibration, read_hall
-from vrcaps.sensors.imu import CapsuleKinematics, Imu, read_imu
 from vrcaps.sensors.pose_filter import PoseBelief, correct, located_magnet, predict
-from vrcaps.sensors.sensors import EARTH_FIELD, HallPad, hall_array
+from vrcaps.sensors.sensors import (
+    EARTH_FIELD,
+    CapsuleKinematics,
+    HallPad,
+    Imu,
+    hall_array,
+    read_imu,
+)
 from vrcaps.world.model import Model
 
 if TYPE_CHECKING:

@@ -1,19 +1,235 @@
-"""Displacement of a wall that gives way to the capsule's shell."""
+"""Displacement of a wall around the capsule: it gives way to the shell, and a slack lumen closes.
+
+The fasting small bowel has no gas: its walls touch, and the lumen is open only where the capsule
+holds it open. Opening it takes almost no pressure, so that the mechanics use the organ as it lies
+around the capsule, and the closure is a displacement of the wall in images, labels and flow.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.geometry import invert, transform_points
-from vrcaps.world.closure import LumenClosure, closure_of
+from vrcaps.core.errors import require
+from vrcaps.core.geometry import invert, smoothstep, transform_points
+from vrcaps.core.rng import stream
+from vrcaps.core.units import MM
+from vrcaps.organ.surface import POCKETS, interpolate
 from vrcaps.world.model import Model
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
+
+    from vrcaps.world.model import Model
+
+
+_LEAST = 0.35 * MM
+"""Minimum radius of a closed lumen [m]: the film of fluid between folds in contact."""
+_SOFT = 0.9 * MM
+"""Radius below which folds that meet are compressed [m]."""
+_REACH = 45 * MM
+"""Distance from the capsule, along the gut, within which the lumen is closed [m]."""
+_FADE = 25 * MM
+"""Distance over which it opens beyond; a closed lumen hides that part."""
+_RECENTER = 5 * MM
+"""Distance over which the lumen returns from the capsule's axis to its own course [m]."""
+_SWAY, _PITCHES = 5.5 * MM, (13 * MM, 18 * MM)
+"""Amplitude and wavelengths / 2π of the course of the closed lumen about the centerline [m]."""
+_TONE_PITCHES = (26 * MM, 41 * MM)
+"""Wavelengths / 2π of the tone, which shortens the funnel and narrows the lumen [m]."""
+_FLATNESS, _TWIST = 0.15, 20 * MM
+"""Relative difference between the diameters of the slit, and arc length of one radian of twist."""
+_PLEATS = (4, 5, 6)
+"""Numbers of longitudinal pleats of a closed section, of which each stretch mixes two or three."""
+_PLEAT_PITCHES = (19 * MM, 31 * MM, 24 * MM)
+"""Wavelengths / 2π of the amplitudes of these pleats along the gut [m]."""
+_PLEAT_SHARE, _PLEAT_LIMIT = 0.75, 0.8
+"""Fraction of the excess perimeter that pleats take up, and their maximum amplitude relative to the
+mean radius."""
+_POCKET_PITCHES = (17 * MM, 27 * MM, 41 * MM)
+"""Wavelengths / 2π of the field whose crests are pockets of gas, a few centimeters long [m]."""
+_POCKET_EDGE = 0.9
+"""Standard deviations of that field over which a pocket opens."""
+_FUNNEL = 13 * MM
+"""Mean distance over which the lumen closes beyond the cylinder of the capsule [m]."""
+_PLAY = 1.12
+"""Mean radius of the lumen around the capsule, between folds, relative to the capsule's."""
+_SECTION = 4 * MM
+"""Length over which the radius is averaged [m]."""
+_NUM_SAMPLES = 17
+
+
+@dataclass(frozen=True)
+class LumenClosure:
+    """Displacement that closes the lumen before and behind the capsule.
+
+    Every cross-section contracts towards a point: the axis of the capsule where it lies, and a
+    course close to the centerline elsewhere. A point at a distance r from the centerline moves to
+    the smooth maximum of r − d and a minimum radius, which increases with r; d is the difference
+    between the section's mean radius and the wanted one: that of the capsule around it, about
+    `radius` beyond a funnel before and behind it, both by the local tone. So folds keep
+    their height until they meet and stay in their order, and sections do not cross.
+
+    The wall is hardly extensible: a section that closes from a radius R to r buckles into n
+    longitudinal pleats of amplitude A that keep its perimeter, r² + n² A² / 2 = R² (the mean of
+    the squared arc element of r + A cos nθ). Pockets of gas or fluid hold the lumen open: there the
+    wall stays at rest, in part or in full. Lengths, shares and numbers of pleats and pockets are
+    estimates from capsule frames.
+
+    Attributes:
+        model: Model whose wall is displaced.
+        radius: Median radius of the closed lumen between its folds [m].
+        pockets: Fraction of the gut's length with pockets of gas or fluid, below 1.
+    """
+
+    model: Model
+    radius: float
+    pockets: float = 0.0
+
+    def close(
+        self, T_world_capsule: Float[np.ndarray, "4 4"], half_length: float, shell_radius: float
+    ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"]]:
+        """Displaced vertices around a capsule.
+
+        Args:
+            T_world_capsule: Pose of the capsule.
+            half_length: Half length of the capsule [m].
+            shell_radius: Radius of the capsule [m].
+
+        Returns:
+            Indices of the moved vertices and their positions in the world frame [m].
+        """
+        s_axis, offset_axis = self._axis(T_world_capsule, half_length)
+        order, sorted_s = self._order
+        span = _REACH + _FADE
+        first, last = np.searchsorted(sorted_s, [s_axis[0] - span, s_axis[-1] + span])
+        moved = order[first:last]
+        s, center, course, outward, radius, theta, mean = (each[moved] for each in self._polar)
+        beyond = np.maximum(np.maximum(s_axis[0] - s, s - s_axis[-1]), 0.0)
+        weight = smoothstep((span - beyond) / _FADE)
+        own = np.exp(-((beyond / _RECENTER) ** 2))
+        offset = own[:, None] * _linear(s, s_axis, offset_axis)
+        offset += (1.0 - own)[:, None] * course
+        cylinder = 1.0 - shell_radius / half_length
+        low, high = np.interp([-cylinder, cylinder], np.linspace(-1, 1, _NUM_SAMPLES), s_axis)
+        tone = np.sin(s / _TONE_PITCHES[0]) * np.sin(s / _TONE_PITCHES[1] + 1.0)
+        funnel = _FUNNEL * np.exp(-0.8 * tone)
+        far = smoothstep(np.maximum(np.maximum(low - s, s - high), 0.0) / funnel)
+        wanted = (1.0 - far) * _PLAY * shell_radius + far * self.radius * np.exp(-0.9 * tone)
+        depth = np.maximum(mean - wanted, 0.0)
+        slit = 1.0 + far * _FLATNESS * np.cos(2.0 * theta + s / _TWIST)
+        height = np.sqrt(np.maximum(mean**2 - wanted**2, 0.0)) * _PLEAT_SHARE
+        height = far * np.minimum(height, _PLEAT_LIMIT * wanted * _PLEATS[1] / 2.0**0.5)
+        free = radius - depth * slit + height * self._pleats[moved] - _LEAST
+        closed = _LEAST + 0.5 * (free + np.hypot(free, _SOFT))
+        weight = weight * (1.0 - self._openness[moved])
+        closed = radius + weight * (np.minimum(closed, radius) - radius)
+        return moved, center + weight[:, None] * offset + closed[:, None] * outward
+
+    def _axis(
+        self, T_world_capsule: Float[np.ndarray, "4 4"], half_length: float
+    ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k 3"]]:
+        """Arc length of points of the body's axis, increasing, and their offset from the course."""
+        along = np.linspace(-half_length, half_length, _NUM_SAMPLES)
+        points = T_world_capsule[:3, 3] + along[:, None] * T_world_capsule[:3, 2]
+        line, course = self.model.organ.centerline, self._centerline_world
+        middle = np.argmin(np.linalg.norm(course - T_world_capsule[:3, 3], axis=1))
+        near = np.abs(line.arc_length - line.arc_length[middle]) < 3.0 * half_length
+        index = np.linalg.norm(points[:, None] - course[near], axis=2).argmin(axis=1)
+        s, nearest = line.arc_length[near][index], course[near][index]
+        tangent = (self.model.T_world_patient[:3, :3] @ line.frames[near][index])[:, :, 2]
+        offset = points - nearest
+        ahead = np.einsum("ij,ij->i", offset, tangent)
+        offset -= ahead[:, None] * tangent
+        order = np.argsort(s + ahead, kind="stable")
+        return np.maximum.accumulate((s + ahead)[order]), offset[order]
+
+    @cached_property
+    def _centerline_world(self) -> Float[np.ndarray, "m 3"]:
+        """Points of the centerline [m]."""
+        return transform_points(self.model.T_world_patient, self.model.organ.centerline.points)
+
+    @cached_property
+    def _order(self) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Vertices in ascending order of arc length."""
+        order = np.argsort(self.model.organ.arc_length, kind="stable")
+        return order, self.model.organ.arc_length[order]
+
+    @cached_property
+    def _pleats(self) -> Float[np.ndarray, " n"]:
+        """Radius of each vertex by pleats, relative to √2 A n of pleats that are equal.
+
+        Rounded ridges inwards, narrow creases outwards.
+        """
+        s, theta = self.model.organ.arc_length, self.model.organ.theta
+        phases = self._rng("pleats").uniform(0.0, 2.0 * np.pi, (2, len(_PLEATS)))
+        total, norm = np.zeros(len(s)), np.full(len(s), 1e-6)
+        for number, pitch, first, second in zip(_PLEATS, _PLEAT_PITCHES, *phases, strict=True):
+            weight = np.sin(s / pitch + first)
+            total += weight / number * np.cos(number * theta + second)
+            norm += weight**2
+        return 2.0**0.5 * total / np.sqrt(norm)
+
+    @cached_property
+    def _openness(self) -> Float[np.ndarray, " n"]:
+        """Fraction of its opening at rest that each vertex keeps, 0 to 1."""
+        s = self.model.organ.arc_length
+        if self.pockets <= 0.0:
+            return np.zeros(len(s))
+        phases = self._rng("pockets").uniform(0.0, 2.0 * np.pi, len(_POCKET_PITCHES))
+        waves = np.sin(s[:, None] / np.array(_POCKET_PITCHES) + phases)
+        level = waves.sum(axis=1) * (2.0 / len(_POCKET_PITCHES)) ** 0.5
+        return smoothstep((level - NormalDist().inv_cdf(1.0 - self.pockets)) / _POCKET_EDGE)
+
+    def _rng(self, purpose: str) -> np.random.Generator:
+        seed = self.model.organ.metadata.get("seed", 0)
+        return stream(seed if isinstance(seed, int) else 0, f"closure/{purpose}")
+
+    @cached_property
+    def _polar(self) -> tuple[np.ndarray, ...]:
+        """Data of each vertex that do not depend on the pose.
+
+        Arc length, center of its section, offset of the closed lumen from that center, outward
+        direction, radius, angle, and mean radius of the section.
+        """
+        organ, pose = self.model.organ, self.model.T_world_patient
+        at, frames, _ = interpolate(organ.centerline, organ.arc_length)
+        center = transform_points(pose, at)
+        phases = self._rng("course").uniform(0.0, 2.0 * np.pi, 2)
+        sway = _SWAY * np.sin(organ.arc_length[:, None] / np.array(_PITCHES) + phases)
+        course = np.einsum("ijk,ik->ij", (pose[:3, :3] @ frames)[:, :, :2], sway)
+        offset = self.model.vertices_world - center
+        radius = np.linalg.norm(offset, axis=1)
+        outward = offset / np.maximum(radius, 1e-9)[:, None]
+        section = np.floor(organ.arc_length / _SECTION)
+        filled, part = np.unique(section, return_inverse=True)
+        means = np.bincount(part, radius) / np.bincount(part)
+        mean = np.interp(organ.arc_length, _SECTION * (filled + 0.5), means)
+        return organ.arc_length, center, course, outward, radius, organ.theta, mean
+
+
+def closure_of(model: Model) -> LumenClosure | None:
+    """Closure that the metadata of a model's organ ask for; None leaves the lumen open.
+
+    Raises:
+        InputError: If the metadata are invalid.
+    """
+    radius = model.closed_radius
+    pockets = model.organ.metadata.get(POCKETS, 0.0)
+    is_valid = isinstance(pockets, int | float) and 0.0 <= pockets < 1.0
+    require(is_valid, f"{POCKETS} in the metadata of {model.organ.name}", pockets, "0 to below 1")
+    return LumenClosure(model, radius, float(pockets)) if radius > 0.0 else None
+
+
+def _linear(
+    s: Float[np.ndarray, " k"], knots: Float[np.ndarray, " m"], values: Float[np.ndarray, "m 3"]
+) -> Float[np.ndarray, "k 3"]:
+    return np.stack([np.interp(s, knots, column) for column in values.T], axis=1)
+
 
 _LOOKS = 17
 """Number of points of the axis at which the distance to the wall is measured."""

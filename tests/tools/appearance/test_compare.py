@@ -11,8 +11,16 @@ from PIL import Image
 
 from vrcaps.cli import main
 from vrcaps.core.errors import InputError
-from vrcaps.tools.appearance.compare import HAND, DescribedSet, compare, halves, nearest_to
-from vrcaps.tools.appearance.report import blind_sheet, rows_of, write_report
+from vrcaps.tools.appearance.compare import (
+    HAND,
+    DescribedSet,
+    blind_sheet,
+    compare,
+    halves,
+    nearest_to,
+    rows_of,
+    write_report,
+)
 from vrcaps.tools.appearance.views import LEVELS, SIDE, STATISTICS, ImageSet
 
 

@@ -53,7 +53,7 @@ class SmallBowelParameters:
         slack_fold_height: Height of the plump folds into which a wall without gas or fluid buckles
             [m].
         closed_radius: Mean radius to which the slack wall closes the lumen next to the
-            capsule [m], see `vrcaps.world.closure`; 0 leaves it open.
+            capsule [m], see `vrcaps.world.wall_displacement`; 0 leaves it open.
         pockets: Fraction of the length in which pockets of gas or fluid keep a closed lumen open.
         min_radius: Minimum radius of the lumen between folds and contractions [m].
         roughness: Standard deviation of the smooth irregularity of the wall [m].

@@ -13,9 +13,9 @@ import numpy as np
 
 from vrcaps.actuation.arm.arm_with_payload import clearances, magnet_pose_at
 from vrcaps.actuation.magnet_actuator import RobotActuator
-from vrcaps.actuation.pose_following import axes_towards
 from vrcaps.actuation.steering_program import JoystickCommand
 from vrcaps.cockpit.bridge.protocol import shortened
+from vrcaps.cockpit.session.operator import axes_towards
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import matrix_from_quaternion, transform_from
 

@@ -14,9 +14,8 @@ from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, require
 from vrcaps.learn.augment import Augmentation, random_flip
 from vrcaps.learn.baselines import class_baselines
-from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import Backbone, classifier
-from vrcaps.learn.picture_border import Overlay, tissue_mask
+from vrcaps.learn.picture_border import Letterbox, Overlay, tissue_mask
 from vrcaps.learn.task import MAX_CLASSES, BackboneTask, Batch, Losses, Metric, Presets, Sample
 from vrcaps.metrics.labels import accuracy, confusion_matrix, f1_scores, matthews, roc_auc
 from vrcaps.recording.frame_sequence import NORMAL, FrameSequence, image_class

@@ -25,10 +25,10 @@ from vrcaps.core.color import linear_from_srgb, srgb_from_linear, turbo
 from vrcaps.core.errors import InputError
 from vrcaps.learn.augment import Augmentation, flip, transpose
 from vrcaps.learn.baselines import log_depth_baselines
-from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import Backbone, UNet
 from vrcaps.learn.picture_border import (
     LENS_NEEDED,
+    Letterbox,
     PictureView,
     input_image,
     log_scale_of,

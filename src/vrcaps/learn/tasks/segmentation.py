@@ -17,8 +17,8 @@ from torch import Tensor, nn
 from vrcaps.core.errors import InputError, require
 from vrcaps.learn.augment import Augmentation, random_flip, transpose
 from vrcaps.learn.baselines import mask_baselines
-from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.networks import Backbone, UNet
+from vrcaps.learn.picture_border import Letterbox
 from vrcaps.learn.task import MAX_CLASSES, BackboneTask, Batch, Losses, Metric, Sample, total
 from vrcaps.lesion.library import LESIONS
 from vrcaps.metrics.labels import boundary_f_score, dice, iou

@@ -38,7 +38,6 @@ from vrcaps.core.geometry import invert
 from vrcaps.formats.slam.tum import trajectory_text
 from vrcaps.learn.augment import with_gain
 from vrcaps.learn.baselines import log_depth_baselines
-from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.losses import (
     inconsistency,
     match_brightness,
@@ -47,14 +46,22 @@ from vrcaps.learn.losses import (
     smoothness,
     synthesize_view,
 )
-from vrcaps.learn.motion_augment import cropped, mirrored, transposed
 from vrcaps.learn.motion_errors import motion_baselines, motion_errors
-from vrcaps.learn.motion_loss import MIN_COSINE, distances_of, flow_error, motion_error, true_flow
 from vrcaps.learn.motion_network import MotionNetwork
 from vrcaps.learn.motion_solver import motion_from_flow
 from vrcaps.learn.motion_steps import Encoded, Region, common_region, step_between
+from vrcaps.learn.motion_training import (
+    MIN_COSINE,
+    cropped,
+    distances_of,
+    flow_error,
+    mirrored,
+    motion_error,
+    transposed,
+    true_flow,
+)
 from vrcaps.learn.networks import Backbone
-from vrcaps.learn.picture_border import LENS_NEEDED, part_of
+from vrcaps.learn.picture_border import LENS_NEEDED, Letterbox, part_of
 from vrcaps.learn.samples import batch_of
 from vrcaps.learn.task import MAX_WEIGHT, BackboneTask, Batch, Losses, Metric, Sample, total
 from vrcaps.learn.tasks.depth import (

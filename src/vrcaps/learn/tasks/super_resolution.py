@@ -26,7 +26,6 @@ from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
 from vrcaps.learn.augment import random_flip, with_gain
 from vrcaps.learn.baselines import upsampling_baselines
-from vrcaps.learn.letterbox import Letterbox
 from vrcaps.learn.losses import (
     content_loss,
     discriminator_loss,
@@ -42,6 +41,7 @@ from vrcaps.learn.networks import (
     feature_network,
 )
 from vrcaps.learn.perturbation import Degradation, Perturbation
+from vrcaps.learn.picture_border import Letterbox
 from vrcaps.learn.task import MAX_WEIGHT, Batch, Losses, Metric, Presets, Sample, Task, total
 from vrcaps.metrics.images import psnr, ssim
 from vrcaps.recording.frame_sequence import FrameSequence

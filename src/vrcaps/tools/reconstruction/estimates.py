@@ -170,7 +170,7 @@ def network_depth(
     Raises:
         InputError: If the weights are of another task.
     """
-    from vrcaps.learn.letterbox import Letterbox
+    from vrcaps.learn.picture_border import Letterbox
     from vrcaps.learn.samples import batch_of
 
     require_depth(trained)

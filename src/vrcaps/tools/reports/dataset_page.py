@@ -12,7 +12,7 @@ import numpy as np
 
 from vrcaps.core.files import write_bytes
 from vrcaps.data.card import duration_text, size_text
-from vrcaps.data.counts import (
+from vrcaps.data.dataset import (
     Count,
     Row,
     by_split,

@@ -51,6 +51,11 @@ _VERBS = {
     ),
     "dataset make": ("vrcaps.cli.dataset", "Make", "Generate a data set from a plan."),
     "dataset check": ("vrcaps.cli.dataset", "Check", "Verify a data set."),
+    "dataset composite": (
+        "vrcaps.cli.dataset",
+        "Composite",
+        "Composite rendered lesions into real images.",
+    ),
     "dataset card": ("vrcaps.cli.dataset", "Card", "Write the data card of a data set."),
     "dataset show": ("vrcaps.cli.dataset", "Show", "Show the contents of a data set."),
     "evaluate": ("vrcaps.cli.policy", "Evaluate", "Evaluate policies that steer the capsule."),

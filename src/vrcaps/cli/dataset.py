@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tyro.conf import Positional
+from tyro.conf import Positional, UseAppendAction
 
-from vrcaps.cli.arguments import require_file, require_folder
+from vrcaps.cli.arguments import require_file, require_folder, require_sources
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.core.errors import InputError, require_extra
 
@@ -239,6 +239,55 @@ def _estimate(plan: Plan, units: Units, indices: Sequence[int], out: str) -> Non
             f"{out} has {size_text(free)} free; {size_text(cost.num_bytes)} are required. Give an "
             "--out with more space, or fewer frames, channels or patients."
         )
+
+
+@dataclass(frozen=True)
+class Composite:
+    """Composite rendered lesions into real images without lesions, with exact masks.
+
+    The change of the rendered wall by a lesion, from a recording and its clean twin, is applied to
+    random images, which keep their light. Others show blood in fluid, nothing, bile or shadow. The
+    plan has the channels radiance and instance, and clean_twin = { each = [false, true] }.
+
+    For example:
+      vrcaps dataset composite runs/pairs --into photos/normal --out runs/composites
+      vrcaps train segmentation --data runs/composites --out runs/masks
+    """
+
+    dataset: Positional[str]
+    """Folder or URL of the data set with the lesions."""
+
+    into: UseAppendAction[tuple[str, ...]]
+    """Folder of real images without lesions, for training only; repeat for more."""
+
+    out: Path
+    """Folder to create: images and masks by kind of lesion, and normal images."""
+
+    count: int = 1000
+    """Number of images."""
+
+    normal: float = 0.4
+    """Fraction of images without a lesion; half of them with bile or shadow."""
+
+    fluid: float = 0.4
+    """Fraction of the images with a lesion that show blood in fluid."""
+
+    seed: int = 0
+    """Random seed."""
+
+    def run(self) -> None:
+        """Write and report."""
+        require_sources((self.dataset, *self.into))
+        from vrcaps.core.files import require_new_folder
+        from vrcaps.formats.io import read_sources
+        from vrcaps.learn.compositing import CompositeSettings, lesion_pairs, write_composites
+
+        require_new_folder(self.out)
+        settings = CompositeSettings(self.count, self.normal, self.fluid, seed=self.seed)
+        pairs, images = lesion_pairs(read_sources((self.dataset,))), read_sources(self.into)
+        with progress_bar("compositing") as show:
+            counts = write_composites(pairs, images, self.out, settings, progress=show)
+        console.print(f"Wrote {self.out}: {', '.join(f'{n:,} {k}' for k, n in counts.items())}.")
 
 
 @dataclass(frozen=True)

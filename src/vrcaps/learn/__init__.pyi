@@ -3,6 +3,13 @@ from .checkpoint import TrainedNetwork as TrainedNetwork
 from .checkpoint import read_weights as read_weights
 from .checkpoint import write_onnx as write_onnx
 from .checkpoint import write_weights as write_weights
+from .compositing import CompositeSettings as CompositeSettings
+from .compositing import LesionPatch as LesionPatch
+from .compositing import composite as composite
+from .compositing import fluid_patch as fluid_patch
+from .compositing import lesion_pairs as lesion_pairs
+from .compositing import rendered_patch as rendered_patch
+from .compositing import write_composites as write_composites
 from .evaluation import EvaluationResult as EvaluationResult
 from .evaluation import evaluate as evaluate
 from .hub import find_weights as find_weights

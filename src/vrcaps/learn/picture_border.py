@@ -286,6 +286,15 @@ def bright_part(image: UInt8[np.ndarray, "h w 3"]) -> tuple[slice, slice]:
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
+def tissue_of(image: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
+    """Mask of the field of view: the largest bright region, without holes."""
+    label, count = scipy.ndimage.label(image.max(axis=-1) > _black_level(image))
+    if not count:
+        return np.zeros(image.shape[:2], bool)
+    largest = label == 1 + int(np.bincount(label.ravel())[1:].argmax())
+    return scipy.ndimage.binary_fill_holes(largest)
+
+
 def inserts(
     image: UInt8[np.ndarray, "h w 3"], within: Bool[np.ndarray, "h w"] | None = None
 ) -> Bool[np.ndarray, "h w"]:

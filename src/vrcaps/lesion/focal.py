@@ -27,7 +27,7 @@ OLD = np.array([0.025, 0.0050, 0.0050])
 FIBRIN = np.array([0.39, 0.30, 0.21])
 """Linear reflectance of fibrin and slough on an ulcer."""
 
-_EXTINCTION = np.array([0.8, 9.0, 8.5]) / MM
+BLOOD_EXTINCTION = np.array([0.8, 9.0, 8.5]) / MM
 """Two-way optical density per length of a film of whole blood: red, green, blue. Hemoglobin
 at 150 g/l absorbs green and blue about ten times as much as red (Prahl 1999, tabulated
 extinction); the scale is fitted visually to thin films in endoscopic images."""
@@ -46,7 +46,7 @@ def under_blood(
         age: Age of the blood, 0 (fresh) to 1 (clotted).
     """
     body = FRESH + (OLD - FRESH) * np.broadcast_to(age, len(color))[:, None]
-    return body + (color - body) * np.exp(-thickness[:, None] * _EXTINCTION)
+    return body + (color - body) * np.exp(-thickness[:, None] * BLOOD_EXTINCTION)
 
 
 _BORDER_FRACTION = 0.0125

@@ -104,8 +104,14 @@ def test_trajectory_leaves_out_what_cannot_be_read(tmp_path):
     torch.manual_seed(0)
     trained = TrainedNetwork(learner, learner.network(is_pretrained=False).eval(), {})
     sequences = (_damaged(3, 4), replace(_damaged(*range(20)), name="black"))
-    skipped = predict(trained, sequences, tmp_path / "out")
+    progress: list[tuple[int, int]] = []
+    skipped = predict(
+        trained, sequences, tmp_path / "out", progress=lambda *step: progress.append(step)
+    )
     assert len(skipped) == 22
+    done = [step[0] for step in progress]
+    assert done == sorted(set(done)) and progress[-1] == (80, 80)
+    assert sum(count > 62 for count in done) == 18, "one step for each image of the trajectory"
     assert skipped["small/000003"] == "Cannot read 000003.png: cut short."
     rows = np.loadtxt(tmp_path / "out/small/trajectory.txt")
     expected = np.delete(small_sequence().times, [3, 4])

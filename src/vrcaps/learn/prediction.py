@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from itertools import groupby
+from itertools import count, groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -91,7 +91,8 @@ def predict(
         sequences: Input images.
         out: Output folder, new or empty.
         field_of_view: Angle across the picture [rad] of an assumed lens, if there is no camera.
-        progress: Called with the number of processed images and the total.
+        progress: Called with the number of processed images and the total; a task that reads
+            sequences processes each image twice.
 
     Returns:
         Images that could not be read, with the reason.
@@ -118,6 +119,7 @@ def _write_predictions(
     skipped: dict[str, str] = {}
     read: list[tuple[FrameSequence, int]] = []
     task = trained.task
+    total = len(frames) * (2 if task.reads_sequences else 1)
     for done, (sequence, index) in enumerate(frames):
         name = f"{sequence.name}/{file_name(sequence, index)}"
         lengths = {"predicts_lengths": task.predicts_lengths}
@@ -135,10 +137,11 @@ def _write_predictions(
         rows.append({"image": name, **task.row(output)})
         if done in on_sheet or not pictures:
             pictures.append(task.picture(output, sample))
-        progress(done + 1, len(frames))
+        progress(done + 1, total)
     if not rows:
         raise InputError(f"No image can be read: {next(iter(skipped.values()), 'none is given')}")
-    _write_sequence_files(trained, read, out, field_of_view)
+    steps = count(total - len(read) + 1)
+    _write_sequence_files(trained, read, out, field_of_view, lambda: progress(next(steps), total))
     if len(rows[0]) > 1:
         write_csv(out / f"{task.kind}.csv", rows)
     write_images([(out / "sheet.png", stack_vertically(pictures))])
@@ -164,6 +167,7 @@ def _write_sequence_files(
     frames: list[tuple[FrameSequence, int]],
     out: Path,
     field_of_view: float | None,
+    on_frame: Callable[[], None],
 ) -> None:
     """Write the task's files of each sequence, over the given frames."""
     for _, group in groupby(frames, key=lambda frame: id(frame[0])):
@@ -174,7 +178,11 @@ def _write_sequence_files(
             camera = assumed_camera(width, height, field_of_view)
             sequence = replace(sequence, camera=camera)
         files = trained.task.sequence_files(
-            trained.network, sequence, [index for _, index in known], trained.device
+            trained.network,
+            sequence,
+            [index for _, index in known],
+            device=trained.device,
+            on_frame=on_frame,
         )
         for name, content in files.items():
             write_bytes(out / sequence.name / name, content)

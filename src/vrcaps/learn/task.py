@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeAlias, TypeVar, cast
 
@@ -79,6 +79,7 @@ class Task(Generic[Terms]):
         presets: Changes of the settings of a training by preset.
         fallback_class: Class from which classes missing from a checkpoint are initialized.
         similar_tasks: Tasks whose checkpoints initialize all parameters of the same name and shape.
+        reads_sequences: Whether `sequence_files` processes the frames of a prediction again.
         predicts_lengths: Whether the network infers lengths: its input is then the tissue alone, at
             the camera's own exposure.
         free_axes: Axes of the inputs and the output of any size, by index, for ONNX.
@@ -94,6 +95,7 @@ class Task(Generic[Terms]):
     fallback_class: ClassVar[str] = ""
     similar_tasks: ClassVar[tuple[str, ...]] = ()
     predicts_lengths: ClassVar[bool] = False
+    reads_sequences: ClassVar[bool] = False
     free_axes: ClassVar[Mapping[int, str]] = {0: "batch"}
     pipeline_tag: ClassVar[str] = ""
 
@@ -247,9 +249,18 @@ class Task(Generic[Terms]):
         return {}
 
     def sequence_files(
-        self, network: nn.Module, sequence: FrameSequence, frames: Sequence[int], device: str
+        self,
+        network: nn.Module,
+        sequence: FrameSequence,
+        frames: Sequence[int],
+        *,
+        device: str,
+        on_frame: Callable[[], None],
     ) -> Mapping[str, bytes]:
-        """Output files of a prediction for the given frames of a sequence, by name."""
+        """Output files of a prediction for the given frames of a sequence, by name.
+
+        `on_frame` is called after each frame if `reads_sequences` is true.
+        """
         return {}
 
 

@@ -23,7 +23,7 @@ without labels.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, ClassVar, cast
@@ -129,6 +129,7 @@ class SfmTask(BackboneTask[DepthTerms | None]):
     output_text: ClassVar[str] = "ln(distance along the ray / 30 mm), up to a scale [b 1 s s]"
     metric: ClassVar[Metric] = Metric("loss", is_error=True)
     similar_tasks: ClassVar[tuple[str, ...]] = ("depth",)
+    reads_sequences: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -298,10 +299,16 @@ class SfmTask(BackboneTask[DepthTerms | None]):
         return {name: motion_errors(poses, truth) for name, poses in estimates.items()}
 
     def sequence_files(
-        self, network: nn.Module, sequence: FrameSequence, frames: Sequence[int], device: str
+        self,
+        network: nn.Module,
+        sequence: FrameSequence,
+        frames: Sequence[int],
+        *,
+        device: str,
+        on_frame: Callable[[], None],
     ) -> Mapping[str, bytes]:
         """Predicted trajectory of a sequence in TUM format."""
-        trajectory = self.trajectory(network, sequence, frames, device=device)
+        trajectory = self.trajectory(network, sequence, frames, device=device, on_frame=on_frame)
         return {"trajectory.txt": trajectory_text(trajectory).encode()}
 
     def trajectory(
@@ -311,6 +318,7 @@ class SfmTask(BackboneTask[DepthTerms | None]):
         frames: Sequence[int] = (),
         *,
         device: str = "cpu",
+        on_frame: Callable[[], None] = lambda: None,
     ) -> FrameSequence:
         """Predict the trajectory of a sequence, in the frame of its first camera.
 
@@ -322,6 +330,7 @@ class SfmTask(BackboneTask[DepthTerms | None]):
             frames: Increasing indices of the frames to use; the result has only these. Empty for
                 all.
             device: Device of the network.
+            on_frame: Called after each frame.
 
         Returns:
             The sequence with the predicted poses.
@@ -341,6 +350,7 @@ class SfmTask(BackboneTask[DepthTerms | None]):
                     step = step_between(before, here, moves, aligns=self.aligns)
                     poses.append(poses[-1] @ step)
                 before = here
+                on_frame()
         values = {TIME: sequence.times[kept], CAMERA_POSE: np.stack(poses)}
         return replace(sequence.subset(kept), values=values)
 

@@ -54,10 +54,16 @@ MOTIONS = {"fly-through": ("--whole",), "random-views": ()}
 FRAMES = 16
 """Number of frames of each patient and motion."""
 ABLATIONS = {
-    "no image chain": ("--effects", "none"),
+    "no image chain": ("--effects", "none,ae=settled"),
     "open lumen": ("--distension", "normal"),
+    "no villi": ("--set", "organ.mucosa.pit_slope=0", "--set", "organ.mucosa.pit_shade=0"),
+    "no contents": tuple(
+        word for kind in ("bubbles", "medium", "film") for word in ("--set", f"contents.{kind}=0")
+    ),
+    "no variation": ("--set", "variation=false"),
 }
-"""Options of `vrcaps record` that switch one part off."""
+"""Options of `vrcaps record` that switch one part off. Without the image chain the exposure stays
+automatic; without variation, contents and tilt are not drawn by prevalence."""
 COLUMNS = ("set", "images", "KID block 3", "KID block 5", "KID pooled", "R", "coverage",
     "medians outside the real 10 to 90 %")  # fmt: skip
 

@@ -54,9 +54,23 @@ def test_settled_exposure_meets_the_target(brightness: float) -> None:
     assert automatic.settle(lambda _: 0.0) == pytest.approx(16.0, rel=1e-3)
 
 
+def test_settled_exposure_leaves_an_error_by_position() -> None:
+    """Its logarithm has the tolerance as deviation, and changes little within a millimeter."""
+    automatic = AutoExposure(0.0, tolerance=0.3)
+    errors = np.log([automatic.remainder(0.02 * k, 5) for k in range(2000)])
+    assert errors.mean() == pytest.approx(0.0, abs=0.03)
+    assert errors.std() == pytest.approx(0.3, rel=0.1)
+    near = np.log([automatic.remainder(1e-3 * k, 5) for k in range(200)])
+    assert np.abs(np.diff(near)).max() < 0.15
+    dim = automatic.settle(lambda exposure: 0.1 * exposure, 0.5)
+    assert dim == pytest.approx(0.5 * automatic.target / 0.1, rel=1e-3)
+    assert AutoExposure(0.0).remainder(0.1, 5) == 1.0
+
+
 @pytest.mark.parametrize(
     ("given", "match"),
     [
+        ({"time_constant": 1.0, "tolerance": 2.0}, "tolerance is 2.0"),
         ({"time_constant": -1.0}, "time_constant is -1.0"),
         ({"time_constant": 1.0, "target": 1.0}, "target is 1.0"),
         ({"time_constant": 1.0, "min_light": 3.0}, "min_light, max_light is"),

@@ -383,6 +383,22 @@ def test_patchiness_is_the_share_of_variation_within_centimeters():
     assert (spreads[1] < spreads[2]).all()
 
 
+def test_gaps_between_villi_vary_over_the_wall():
+    """They are deeper at some places than at others, by no more than a factor of 1.8."""
+    plain = replace(MUCOSAE["small-bowel"], flecks=0.0, relief_slope=0.0)
+    depths = []
+    for variation in (0.0, 0.6):
+        mucosa = replace(plain, vessel_contrast=0.0, pit_variation=variation)
+        relief = bake_appearance(
+            make_square(40.0 * MM), seed=3, mucosa=mucosa, texels_per_mm=10.0
+        ).height
+        middle = relief[200:440, 200:440].reshape(12, 20, 12, 20)
+        depths.append(middle.std(axis=(1, 3)))
+    ratio = depths[1] / depths[0]
+    assert ratio.max() > 1.3 * ratio.min()
+    assert ratio.max() < 1.81
+
+
 @pytest.mark.slow
 def test_the_wall_does_not_repeat():
     """The wall's color is correlated with itself at no distance beyond its largest patches."""

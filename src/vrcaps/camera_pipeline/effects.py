@@ -294,7 +294,8 @@ def parse_effects(text: str) -> Effects:
 
 def _settled_exposure(chain: ImageChain | None, seed: int | None) -> AutoExposure:
     """Automatic exposure that has settled in every frame, with the target of the unit."""
-    nominal = AutoExposure(time_constant=0.0)
+    tolerance = 0.0 if chain is None else chain.exposure_tolerance
+    nominal = AutoExposure(time_constant=0.0, tolerance=tolerance)
     if chain is None or seed is None or not chain.variation.exposure:
         return nominal
     z = truncated_normal(stream(seed, "camera/unit/exposure"))

@@ -194,11 +194,20 @@ class CameraPipeline:
             if self._automatic is not None and self.is_active:
                 radiance = self.render(step)
                 if self._automatic.is_settled or before is None:
-                    exposure = self._automatic.settle(partial(self.meter, radiance))
+                    meter = partial(self.meter, radiance)
+                    exposure = self._automatic.settle(meter, self._remainder(step))
                 luminance = self.meter(radiance, exposure)
                 self.resume(Exposure(exposure, luminance))
             self._exposed = (step, Exposure(exposure, luminance))
         return self._exposed[1]
+
+    def _remainder(self, step: Step) -> float:
+        """Factor on the target of automatic exposure that the settled loop leaves."""
+        assert self._automatic is not None
+        if self._automatic.tolerance == 0.0:
+            return 1.0
+        place = self.renderer.model.arc_length_at(step.state.T_world_capsule)
+        return self._automatic.remainder(place, self._seed)
 
     def resume(self, last: Exposure) -> None:
         """Restore the state after a frame."""

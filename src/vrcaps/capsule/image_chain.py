@@ -32,12 +32,13 @@ class UnitVariation:
         led: Of the natural logarithm of each LED's intensity.
         led_color: Of the natural logarithm of each LED's red and blue relative to green.
         exposure: Of the natural logarithm of the automatic exposure's target. Mean luminances of
-            461 images of WCEBleedGen have 0.39; half of that variance is attributed to units.
+            461 images of WCEBleedGen have 0.39; half of that variance is attributed to units, half
+            to the `exposure_tolerance` of each frame.
     """
 
-    white_balance: _Spread = 0.10
-    color_matrix: _Spread = 0.02
-    lens_shading: _Spread = 0.15
+    white_balance: _Spread = 0.15
+    color_matrix: _Spread = 0.03
+    lens_shading: _Spread = 0.25
     focus: _Spread = 0.12
     led: _Spread = 0.15
     led_color: _Spread = 0.015
@@ -82,6 +83,7 @@ class ImageChain:
         sharpening: Amount of the unsharp mask; 0 for none.
         sharpening_radius_px: Standard deviation of its filter.
         jpeg_quality: Quality of compression, 1 to 100; 0 for no compression.
+        exposure_tolerance: `AutoExposure.tolerance`.
         variation: Differences between units; `EQUAL_UNITS` if there are none.
     """
 
@@ -91,7 +93,7 @@ class ImageChain:
     focus_distance: Annotated[float, Range(above=0.0, unit="m")] = field(
         default=15.0 * MM, metadata={"unit": "mm"}
     )
-    lens_shading: Triple = (-0.85, 0.18, 0.0)
+    lens_shading: Triple = (-0.95, 0.22, 0.0)
     cosine_power: Annotated[float, Range(min=0.0, max=16.0)] = 0.0
     lateral_color: tuple[float, float] = (0.002, -0.002)
     bloom_fraction: Annotated[float, Range(min=0.0, below=1.0)] = 0.12
@@ -110,6 +112,7 @@ class ImageChain:
     sharpening: Annotated[float, Range(min=0.0, max=10.0)] = 2.0
     sharpening_radius_px: Annotated[float, Range(min=0.3, max=10.0, unit="px")] = 2.0
     jpeg_quality: Annotated[int, Range(min=0, max=100)] = 75
+    exposure_tolerance: Annotated[float, Range(min=0.0, max=1.0)] = 0.3
     variation: UnitVariation = field(default_factory=UnitVariation)
 
     def __post_init__(self) -> None:

@@ -17,6 +17,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import triangle_areas
 from vrcaps.core.rng import stream
 from vrcaps.core.units import MM
+from vrcaps.mesh.noise import fbm
 from vrcaps.mucosa.mucosa import ABSORPTION, MUCOSAE, Mucosa, is_texture_path
 from vrcaps.organ.segments import find_segment
 from vrcaps.organ.surface import Appearance, OrganSurface, round_height
@@ -34,6 +35,11 @@ DEFAULT_TEXELS_PER_MM = 8.0
 """Default texture density that 95 % of the wall should reach."""
 
 _MAX_STRETCH = 1.6  # limit of a texel's stretch relative to the mean that more texels compensate
+
+_PIT_PATCH = 40.0 * MM
+"""Distance over which the depth of gaps between villi varies [m]."""
+_MAX_PITS = 1.8
+"""Maximum depth of these gaps, relative to the mean."""
 
 _BLUR = 0.03
 """Standard deviation of the transition between segments, as a fraction of the length."""
@@ -74,7 +80,7 @@ def bake_appearance(
     chosen = _of_patient(chosen, seed)
     texel = float(np.hypot(scale[0] / width, scale[1] / height)) / 2.0**0.5
     albedo, roughness, relief = _core.bake_mucosa(
-        _wall_fields(organ),
+        _wall_fields(organ, chosen, seed),
         np.ascontiguousarray(organ.faces, np.uint32),
         np.ascontiguousarray(organ.uv.reshape(-1, 6), np.float64),
         (height, width, texel / MM),
@@ -176,10 +182,14 @@ def _texture_size(
     return height, width
 
 
-def _wall_fields(organ: OrganSurface) -> Float[np.ndarray, "n 11"]:
+def _wall_fields(organ: OrganSurface, mucosa: Mucosa, seed: int) -> Float[np.ndarray, "n 11"]:
     """Position [mm], normal, curvature [1/mm], arc length [mm] and segment factors of vertices."""
     curvature = _mean_curvature(organ.vertices, organ.normals, organ.faces) * MM
     factors = _segment_factors(organ)
+    if mucosa.pit_variation > 0.0:
+        varied = fbm(_PIT_PATCH, stream(seed, "mucosa/pits"))(organ.vertices)
+        factor = np.exp(mucosa.pit_variation * (varied - 0.5 * mucosa.pit_variation))
+        factors[:, 0] *= np.minimum(factor, _MAX_PITS)
     columns = (organ.vertices / MM, organ.normals, curvature, organ.arc_length / MM, factors)
     return np.column_stack(columns).astype(np.float32)
 

@@ -48,6 +48,8 @@ class Mucosa:
         pit_spacing: Distance between villi, gastric areae or groups of crypts [m].
         pit_slope: RMS slope of the gaps between them.
         pit_shade: Optical density of those gaps in green light; bile also collects there.
+        pit_variation: Standard deviation of the logarithm of their depth and density over the wall,
+            as villi are more or less swollen and covered by mucus; the mean is nearly kept.
         network: Weight of the finest network of vessels in the redness.
         flecks: Fraction of cells, 3.2 mm wide, with a fleck of mucus, on the wall or off it.
         mucus: Amount of mucus, 0 to 1: film and strands cover a third of this fraction of the wall.
@@ -70,6 +72,7 @@ class Mucosa:
     pit_spacing: float = 0.6 * MM
     pit_slope: float = 0.03
     pit_shade: float = 0.05
+    pit_variation: float = 0.0
     network: float = 1.1
     flecks: float = 0.03
     mucus: float = 0.10
@@ -105,15 +108,16 @@ MUCOSAE: dict[str, Mucosa] = {
         clearcoat=0.7,
     ),
     "small-bowel": Mucosa(
-        base_color=(0.400, 0.182, 0.088),
-        redness_variation=0.24,
+        base_color=(0.400, 0.182, 0.096),
+        redness_variation=0.32,
         patchiness=0.45,
         patient_variation=(0.35, 0.65),
-        bile=0.55,
+        bile=0.75,
         vessel_contrast=0.06,
         pit_spacing=0.42 * MM,
         pit_slope=0.48,
         pit_shade=0.24,
+        pit_variation=0.6,
         network=0.04,
         flecks=0.03,
         mucus=0.0,
@@ -197,6 +201,7 @@ class MucosaSettings(FileRef):
         pit_spacing: Distance between villi, gastric areae or groups of crypts [m].
         pit_slope: RMS slope of the gaps between them.
         pit_shade: Optical density of those gaps in green light.
+        pit_variation: Standard deviation of the logarithm of their depth over the wall.
         network: Weight of the finest network of vessels in the redness.
         flecks: Fraction of cells, 3.2 mm wide, with a fleck of mucus.
         mucus: Amount of mucus.
@@ -215,6 +220,7 @@ class MucosaSettings(FileRef):
     pit_spacing: _Length = None
     pit_slope: _Fraction = None
     pit_shade: _Amount = None
+    pit_variation: _Amount = None
     network: _Amount = None
     flecks: _Fraction = None
     mucus: _Fraction = None

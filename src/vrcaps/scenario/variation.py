@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from vrcaps.core.rng import stream
+from vrcaps.core.units import MM
 from vrcaps.lumen.contents import CM2, Bubbles, Chyme, Contents, Film, Medium
 from vrcaps.lumen.preparation import PREPARATIONS
 from vrcaps.motion.fly_through import FlyThrough
@@ -54,7 +55,7 @@ class Prevalence:
 PREVALENCES: Mapping[str, Prevalence] = MappingProxyType(
     {
         "small-bowel": Prevalence(
-            {None: 0.92, "normal": 0.08}, (0.5, 0.78), bubbles=0.25, medium=0.35, film=0.4
+            {None: 0.92, "normal": 0.08}, (0.5, 0.78), bubbles=0.4, medium=0.35, film=0.4
         ),
         "colon": Prevalence({None: 1.0}, (0.1, 0.35), medium=0.15, film=0.3),
         "stomach": Prevalence({None: 1.0}, (0.1, 0.35), medium=0.15, film=0.3),
@@ -134,12 +135,16 @@ def _fraction(mean: float, rng: np.random.Generator) -> float:
 def _bubbles(mean: float, rng: np.random.Generator) -> Bubbles | int:
     """Bubbles of one patient: single ones up to foam, where there are any."""
     prevalence, foam = _fraction(mean, rng), float(rng.uniform())
-    per_area = 2.0 * 8.0**foam  # 2 to 16 per cm²
-    raft = 5.0 * 8.0**foam
+    per_area = 25.0 * 4.0**foam  # 25 to 100 per cm²
+    raft = 8.0 * 10.0**foam
+    radius = 0.36 * MM * 0.5**foam
     if prevalence == 0.0:
         return 0
     return Bubbles(
-        per_area=round(per_area / CM2, 1), prevalence=prevalence, raft_size=round(raft, 2)
+        per_area=round(per_area / CM2, 1),
+        prevalence=prevalence,
+        raft_size=round(raft, 2),
+        radius=round(radius, 7),
     )
 
 

@@ -37,7 +37,7 @@ _FADE = 25 * MM
 """Distance over which it opens beyond; a closed lumen hides that part."""
 _RECENTER = 5 * MM
 """Distance over which the lumen returns from the capsule's axis to its own course [m]."""
-_SWAY, _PITCHES = 5.5 * MM, (13 * MM, 18 * MM)
+_SWAY, _PITCHES = 8.0 * MM, (13 * MM, 18 * MM)
 """Amplitude and wavelengths / 2π of the course of the closed lumen about the centerline [m]."""
 _TONE_PITCHES = (26 * MM, 41 * MM)
 """Wavelengths / 2π of the tone, which shortens the funnel and narrows the lumen [m]."""

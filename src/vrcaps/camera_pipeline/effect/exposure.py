@@ -19,6 +19,8 @@ from vrcaps.camera_pipeline.effect.base import (
 )
 from vrcaps.config.fields import Range
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.rng import normal_along
+from vrcaps.core.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -90,6 +92,8 @@ class RollingShutter(ImageEffect):
 _TOLERANCE = 1e-4
 _ITERATIONS = 40
 """Relative change of the exposure at which `AutoExposure.settle` ends, and its most iterations."""
+_REMAINDER_LENGTH = 20.0 * MM
+"""Correlation length along the gut of the remaining error of a settled loop [m]."""
 
 
 @dataclass(frozen=True)
@@ -104,24 +108,29 @@ class AutoExposure(ImageEffect):
 
     With a time constant of 0 the loop has settled in every frame: m is the target, within the
     limits, and frames are independent of each other. This is the default of a capsule (an
-    assumption: no maker publishes the time constant of its light control).
+    assumption: no maker publishes the time constant of its light control). A loop leaves the
+    exposure as it is while the error is small; that remainder is a log-normal factor on the target,
+    which changes over 20 mm of the gut.
 
     The LEDs deliver E up to their maximum light; the rest is gain, which adds noise because it adds
     no photons.
 
     Attributes:
         time_constant: τ [s]; 0 for a loop that has settled in every frame.
-        target: Target mean linear luminance, 1 = white. Real capsule frames have about 0.15.
+        target: Target mean linear luminance, 1 = white. At 0.13 the middle of the image has that of
+            real capsule frames, 0.15.
         min_light: Minimum light, relative to the camera's own fixed exposure.
         max_light: Maximum light, relative to the same.
         max_gain: Maximum gain.
+        tolerance: Standard deviation of the remaining error ``ln(target / m)`` of a settled loop.
     """
 
     time_constant: float
-    target: float = 0.15
+    target: float = 0.13
     min_light: float = 0.02
     max_light: float = 2.0
     max_gain: float = 8.0
+    tolerance: float = 0.0
 
     name, short = "auto_exposure", "ae"
     severities = (
@@ -140,6 +149,8 @@ class AutoExposure(ImageEffect):
         is_valid = 0.0 < self.min_light <= self.max_light < math.inf
         require(is_valid, "AutoExposure's min_light, max_light", limits, "above 0 and ascending")
         require(1.0 <= gain < math.inf, "AutoExposure's max_gain", gain, "1 or more")
+        error = self.tolerance
+        require(0.0 <= error <= 1.0, "AutoExposure's tolerance", error, "0 to 1")
 
     @classmethod
     def parse(cls, text: str) -> Severity | Self:
@@ -155,7 +166,17 @@ class AutoExposure(ImageEffect):
         """True if each frame is exposed independently of the others."""
         return self.time_constant == 0.0
 
-    def settle(self, meter: Callable[[float], float]) -> float:
+    def remainder(self, arc_length: float, seed: int) -> float:
+        """Factor on the target that a settled loop leaves at a position along the gut.
+
+        Args:
+            arc_length: Position along the centerline [m].
+            seed: Seed of the recording.
+        """
+        place = arc_length / _REMAINDER_LENGTH
+        return math.exp(self.tolerance * normal_along(place, seed, "camera/exposure/remainder"))
+
+    def settle(self, meter: Callable[[float], float], remainder: float = 1.0) -> float:
         """Exposure at which a frame has the target luminance, within the limits.
 
         Fixed-point iteration ``E ← E target / m(E)``: m increases no faster than E, because pixels
@@ -163,11 +184,12 @@ class AutoExposure(ImageEffect):
 
         Args:
             meter: Mean luminance of the frame as a function of exposure; must not decrease.
+            remainder: Factor on the target.
         """
         highest = self.max_light * self.max_gain
         exposure = min(max(1.0, self.min_light), highest)
         for _ in range(_ITERATIONS):
-            ratio = self.target / max(meter(exposure), 1e-9)
+            ratio = self.target * remainder / max(meter(exposure), 1e-9)
             before, exposure = exposure, min(max(exposure * ratio, self.min_light), highest)
             if abs(exposure - before) <= _TOLERANCE * before:
                 break

@@ -64,6 +64,8 @@ ABLATIONS = {
 }
 """Options of `vrcaps record` that switch one part off. Without the image chain the exposure stays
 automatic; without variation, contents and tilt are not drawn by prevalence."""
+ABLATED = 2
+"""Number of patients of the small bowel in ablations."""
 COLUMNS = ("set", "images", "KID block 3", "KID block 5", "KID pooled", "R", "coverage",
     "medians outside the real 10 to 90 %")  # fmt: skip
 
@@ -159,8 +161,10 @@ def main() -> None:
         sets.append(described(organ, sequences))
         shape.append((organ, *near_wall(sequences)))
         if given.ablations and organ == "small-bowel":
-            for name, options in ABLATIONS.items():
-                changed = recorded(given.work / name.replace(" ", "-"), organ, patients, options)
+            patients = patients[:ABLATED]
+            for name, options in {f"first {ABLATED} patients": (), **ABLATIONS}.items():
+                folder = given.work / (name.replace(" ", "-") if options else "default")
+                changed = recorded(folder, organ, patients, options)
                 sets.append(described(f"{organ}, {name}", changed))
                 shape.append((f"{organ}, {name}", *near_wall(changed)))
     sets.insert(0, described("all organs", every))

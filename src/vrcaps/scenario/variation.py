@@ -57,15 +57,15 @@ PREVALENCES: Mapping[str, Prevalence] = MappingProxyType(
         "small-bowel": Prevalence(
             {None: 0.92, "normal": 0.08}, (0.5, 0.78), bubbles=0.4, medium=0.35, film=0.4
         ),
-        "colon": Prevalence({None: 1.0}, (0.1, 0.35), medium=0.15, film=0.3),
-        "stomach": Prevalence({None: 1.0}, (0.1, 0.35), medium=0.15, film=0.3),
-        "full-tract": Prevalence({None: 1.0}, (0.1, 0.35), medium=0.25, film=0.4),
+        "colon": Prevalence({None: 1.0}, (0.1, 0.35), bubbles=0.25, medium=0.15, film=0.3),
+        "stomach": Prevalence({None: 1.0}, (0.1, 0.35), bubbles=0.3, medium=0.15, film=0.3),
+        "full-tract": Prevalence({None: 1.0}, (0.1, 0.35), bubbles=0.3, medium=0.25, film=0.4),
     }
 )
 """Prevalences by generated organ. All are assumed; those of the small bowel follow estimates from
 real frames: turbid fluid in a third, an open round lumen in fewer than one in ten, and a third to
-a half of the frames soft. Bubbles are drawn in the small bowel, where a third of real frames have
-them. Chyme and pools are none: they are not known to bring images nearer to real ones."""
+a half of the frames soft. Bubbles are drawn everywhere; a third of real frames of the small bowel
+have them. Chyme and pools are none: they are not known to bring images nearer to real ones."""
 
 
 def varied(scenario: Scenario) -> Scenario:

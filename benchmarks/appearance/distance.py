@@ -6,7 +6,8 @@ baselines are the two halves of the real set, split at random, and the mean real
 
     python -m benchmarks.appearance.distance
     python -m benchmarks.appearance.distance --patients 1 --work /tmp/looks    # while tuning
-    python -m benchmarks.appearance.distance --ablations
+    python -m benchmarks.appearance.distance --ablations                       # all parts
+    python -m benchmarks.appearance.distance --ablations 'no image chain'
 
 Recordings stay in `--work`, so that an interrupted run resumes; those of another version of the
 package must be deleted first.
@@ -150,19 +151,22 @@ def main() -> None:
     asked.set_defaults(out=PAGE)
     asked.add_argument("--work", type=Path, default=ROOT / "runs" / "looks", help="recordings")
     asked.add_argument("--patients", type=int, default=5, help="maximum number of each organ")
-    asked.add_argument("--ablations", action="store_true", help="the small bowel without each part")
+    asked.add_argument("--others", type=int, default=5, help="maximum number of colon and stomach")
+    asked.add_argument("--ablations", nargs="*", choices=ABLATIONS, help="parts to leave out")
     given = asked.parse_args()
     real = reference()
     sets, shape, every = [], [], []
     for organ, count in PATIENTS.items():
-        patients = range(1, min(count, given.patients) + 1)
+        most = given.patients if organ == "small-bowel" else min(given.patients, given.others)
+        patients = range(1, min(count, most) + 1)
         sequences = recorded(given.work / "default", organ, patients)
         every += sequences
         sets.append(described(organ, sequences))
         shape.append((organ, *near_wall(sequences)))
-        if given.ablations and organ == "small-bowel":
+        if given.ablations is not None and organ == "small-bowel":
             patients = patients[:ABLATED]
-            for name, options in {f"first {ABLATED} patients": (), **ABLATIONS}.items():
+            without = {name: ABLATIONS[name] for name in given.ablations or ABLATIONS}
+            for name, options in {f"first {ABLATED} patients": (), **without}.items():
                 folder = given.work / (name.replace(" ", "-") if options else "default")
                 changed = recorded(folder, organ, patients, options)
                 sets.append(described(f"{organ}, {name}", changed))

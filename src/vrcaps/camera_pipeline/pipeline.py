@@ -206,8 +206,8 @@ class CameraPipeline:
         assert self._automatic is not None
         if self._automatic.tolerance == 0.0:
             return 1.0
-        place = self.renderer.model.arc_length_at(step.state.T_world_capsule)
-        return self._automatic.remainder(place, self._seed)
+        arc_length = self.renderer.model.arc_length_at(step.state.T_world_capsule)
+        return self._automatic.remainder(arc_length, self._seed)
 
     def resume(self, last: Exposure) -> None:
         """Restore the state after a frame."""

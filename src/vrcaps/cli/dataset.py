@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tyro.conf import Positional, UseAppendAction
+from tyro.conf import Positional
 
 from vrcaps.cli.arguments import require_file, require_folder, require_sources
 from vrcaps.cli.console import console, progress_bar
@@ -257,8 +257,8 @@ class Composite:
     dataset: Positional[str]
     """Folder or URL of the data set with the lesions."""
 
-    into: UseAppendAction[tuple[str, ...]]
-    """Folder of real images without lesions, for training only; repeat for more."""
+    into: tuple[str, ...]
+    """Folders of real images without lesions, for training only."""
 
     out: Path
     """Folder to create: images and masks by kind of lesion, and normal images."""

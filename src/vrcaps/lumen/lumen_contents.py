@@ -70,8 +70,8 @@ class LumenContents:
         count = len(self.dome_sites)
         if count == 0:
             return self
-        own, place = self.spheres.radius[len(self.spheres) - count :], arc_length / _LIFE
-        patches = np.floor(place + np.arange(count) / count).astype(int)
+        own, distance = self.spheres.radius[len(self.spheres) - count :], arc_length / _LIFE
+        patches = np.floor(distance + np.arange(count) / count).astype(int)
         sites = np.empty((count, 3))
         for patch in np.unique(patches):
             rng = stream(self.contents.seed, "lumen/dome-sites", 1 + abs(int(patch)))

@@ -209,8 +209,8 @@ class _Seeds:
         at = np.sort(rng.uniform(0.0, area[-1], len(self.counts)))
         self.arc_length = np.interp(at, area, edges)
         if kind.prevalence < 1.0:
-            own, places = int(rng.integers(2**31)), self.arc_length / _PATCH
-            noise = [normal_along(place, own, "lumen/patches") for place in places.tolist()]
+            own, distances = int(rng.integers(2**31)), self.arc_length / _PATCH
+            noise = [normal_along(one, own, "lumen/patches") for one in distances.tolist()]
             limit = NormalDist().inv_cdf(max(kind.prevalence, 1e-9))
             kept = np.array(noise) < limit
             self.counts, self.arc_length = self.counts[kept], self.arc_length[kept]

@@ -81,6 +81,8 @@ def varied(scenario: Scenario) -> Scenario:
     if prevalence is None or not scenario.variation:
         empty = {kind: 0 for kind in _KINDS if getattr(contents, kind) is None}
         return replace(scenario, contents=replace(contents, **empty))
+    if getattr(scenario.motion, "dynamics", None) == "quasi-static":  # nothing may float there
+        prevalence = replace(prevalence, bubbles=0.0)
     assert isinstance(organ, OrganGenerated)
     if organ.distension is None:
         rng = stream(organ.seed, "variation/distension")

@@ -123,7 +123,7 @@ def test_penumbra_behind_a_half_plane(radius: float) -> None:
 
 
 def test_penumbra_near_an_led() -> None:
-    """Each pixel has the quadrature of its own point at 5 radii, instead of a mean over others."""
+    """At 5 radii, the visibility of a pixel is that of its own point, not a mean over neighbors."""
     fraction, closed, x = _half_plane(RADIUS, 1.5 * MM, 1.2 * MM)
     error, hard = np.abs(fraction - closed), np.abs((x > 0.0) - closed)
     assert (hard > 0.1).mean() > 0.3

@@ -7,6 +7,7 @@ import pytest
 
 from vrcaps.lumen.contents import Bubbles, Contents, Film, Medium
 from vrcaps.lumen.preparation import PREPARATIONS
+from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.scenario.build import resolve
 from vrcaps.scenario.scenario import (
@@ -58,6 +59,22 @@ def test_variation_can_be_switched_off():
     assert plain.contents == Contents(0, 0, 0, 0, 0, seed=1)
     assert plain.organ == OrganGenerated("small-bowel", seed=1)
     assert plain.motion == FlyThrough()
+
+
+@pytest.mark.parametrize("organ", PREVALENCES)
+def test_quasi_static_motion_gets_nothing_that_moves_with_inertia(organ):
+    """Physics gets bubbles in some of the same patients; bubbles that are given stay."""
+    kinds = {}
+    for dynamics in ("physics", "quasi-static"):
+        motion = Dynamics(dynamics=dynamics)
+        drawn = [varied(_patient(seed, organ, motion=motion)).contents for seed in range(8)]
+        kinds[dynamics] = [(one.bubbles, one.chyme, one.liquid) for one in drawn]
+        assert any(one.film for one in drawn)
+    assert kinds["quasi-static"] == [(0, 0, 0)] * 8
+    assert any(bubbles for bubbles, _, _ in kinds["physics"])
+    given = _patient(1, organ, motion=Dynamics(dynamics="quasi-static"))
+    given = replace(given, contents=Contents(bubbles=2, seed=1))
+    assert varied(given).contents.bubbles == 2
 
 
 def test_organ_files_are_not_varied():

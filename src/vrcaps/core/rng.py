@@ -9,13 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import math
+from functools import lru_cache
 from statistics import NormalDist
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    import numpy as np
 
 
 def stream(seed: int, purpose: str, *index: int) -> np.random.Generator:
@@ -68,11 +65,14 @@ def normal_along(place: float, seed: int, purpose: str) -> float:
     cell = math.floor(place)
     t = place - cell
     t = t * t * (3.0 - 2.0 * t)
-    first, second = (
-        float(stream(seed, purpose, 2 * abs(k) + (k < 0)).standard_normal())
-        for k in (cell, cell + 1)
-    )
+    first, second = _normal_at(cell, seed, purpose), _normal_at(cell + 1, seed, purpose)
     return ((1.0 - t) * first + t * second) / math.hypot(1.0 - t, t)
+
+
+@lru_cache(maxsize=4096)  # thousands of clumps lie between a few hundred integers
+def _normal_at(cell: int, seed: int, purpose: str) -> float:
+    """Standard normal number of an integer position."""
+    return float(stream(seed, purpose, 2 * abs(cell) + (cell < 0)).standard_normal())
 
 
 def drawn_along(

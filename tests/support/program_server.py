@@ -36,7 +36,9 @@ PACKAGES = (
     "rich.console",
     "tyro",
     "cattrs",
-    "torch",
+    "torch._inductor.config",
+    "segmentation_models_pytorch",
+    "timm",
     "gymnasium",
 )
 """Packages that programs import; what is not installed is left out."""

@@ -158,13 +158,14 @@ def _read_file(path: str | Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
 
 
 def _network_of(task: Task, tensors: dict[str, Tensor]) -> nn.Module:
-    """Create a task's network with the given weights; shapes are compared before allocation.
+    """Create a task's network with the given weights; it is never initialized at random.
 
     Raises:
         InputError: If the weights are of another network.
     """
     with torch.device("meta"), torch.random.fork_rng(devices=[]):
-        outline = task.network(is_pretrained=False).state_dict()
+        network = task.network(is_pretrained=False)
+    outline = network.state_dict()
     expected, given = ({k: tuple(v.shape) for k, v in s.items()} for s in (outline, tensors))
     wrong = sorted(k for k in {*expected, *given} if expected.get(k) != given.get(k))
     if wrong:
@@ -176,8 +177,7 @@ def _network_of(task: Task, tensors: dict[str, Tensor]) -> nn.Module:
     for name, value in tensors.items():
         if value.is_floating_point() != outline[name].is_floating_point() or value.is_complex():
             raise InputError(f"{name} has values of type {value.dtype}, not {outline[name].dtype}")
-    network = task.network(is_pretrained=False)
-    network.load_state_dict(tensors)
+    network.load_state_dict(tensors, assign=True)
     return network
 
 

@@ -36,9 +36,11 @@ class BandLimitedNoise:
     wave_numbers: Float[np.ndarray, "c k"]
     phases: Float[np.ndarray, "c k"]
 
-    def at(self, distance: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n c"]:
-        """Values of the noises at distances along the path [m]."""
-        angle = distance[:, None, None] * self.wave_numbers + self.phases
+    def at(
+        self, distance: Float[np.ndarray, " n"], channels: slice = slice(None)
+    ) -> Float[np.ndarray, "n c"]:
+        """Values of some of the noises at distances along the path [m]."""
+        angle = distance[:, None, None] * self.wave_numbers[channels] + self.phases[channels]
         return np.sin(angle).mean(axis=-1)
 
     def integral(self, distance: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n c"]:
@@ -122,7 +124,7 @@ class CenterlineFollower:
     def _point(self, s: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
         point, frame, radius = interpolate(self.centerline, s)
         offset = np.empty((len(s), 3))
-        offset[:, :2] = (amplitude * self.drift * radius)[:, None] * self.noise.at(s)[:, :2]
+        offset[:, :2] = (amplitude * self.drift * radius)[:, None] * self.noise.at(s, slice(2))
         offset[:, :2] /= np.sqrt(2.0)
         # Beyond the ends of the centerline the path continues straight.
         offset[:, 2] = s - np.clip(s, 0.0, self.centerline.length)

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
-from types import CodeType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -114,10 +113,7 @@ def short_lived_organs() -> Iterator[None]:
 
 
 def fingerprint(parameters: dict[str, Any]) -> str:
-    """Hash of the parameters and of the code and packages that make organs.
-
-    Comments, docstrings and formatting of that code do not affect it.
-    """
+    """Hash of the parameters and of the code and packages that make organs."""
     digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode())
     digest.update(_code_digest(Path(__file__).parents[1]))
     return digest.hexdigest()[:16]
@@ -125,39 +121,19 @@ def fingerprint(parameters: dict[str, Any]) -> str:
 
 @cache
 def _code_digest(package: Path) -> bytes:
-    """Checksum of the statements that make organs, of the compiled core and of the packages."""
+    """Checksum of the modules that make organs, of the compiled core and of the packages."""
     digest = hashlib.sha256()
     for path in _files(package):
         digest.update(path.relative_to(package).as_posix().encode())
-        code = compile(path.read_bytes(), path.name, "exec", optimize=2, dont_inherit=True)
-        digest.update(_instructions(code).encode())
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
     digest.update(json.dumps([core_sha256(), versions(ORGAN_PACKAGES)]).encode())
     return digest.digest()
 
 
 def _files(package: Path) -> list[Path]:
-    """Source files whose statements make organs."""
+    """Source files that make organs."""
     files = [path for name in _MAKERS for path in (package / name).rglob("*.py")]
     return sorted([*files, *(package / f"{name}.py" for name in _MAKER_MODULES)])
-
-
-def _instructions(code: CodeType) -> str:
-    """Bytecode, names and constants of a module or function, including nested code.
-
-    Expects code compiled with `optimize=2`, without docstrings. Line numbers are omitted.
-    """
-    constants = []
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            constants.append(_instructions(constant))
-        elif isinstance(constant, frozenset):  # the order differs between processes
-            constants.append(str(sorted(map(repr, constant))))
-        else:
-            constants.append(repr(constant))
-    names = (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars)
-    counts = (code.co_flags, code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount)
-    instructions = code.co_code.hex() + code.co_exceptiontable.hex()
-    return f"{code.co_name} {counts} {names} {instructions} {constants}"
 
 
 def _write_organ(path: Path, organ: OrganSurface) -> None:

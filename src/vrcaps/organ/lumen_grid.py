@@ -104,12 +104,12 @@ def close_ends(
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    vertices, inverse = np.unique(vertices, axis=0, return_inverse=True)
-    faces = inverse.reshape(-1)[faces]
+    vertices, inverse = _unique_rows(vertices)
+    faces = inverse[faces]
     edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges = edges[edges[:, 0] != edges[:, 1]]
-    edges, count = np.unique(edges, axis=0, return_counts=True)
-    rim = edges[count % 2 == 1]
+    keys, count = np.unique(edges @ [len(vertices), 1], return_counts=True)
+    rim = np.column_stack(np.divmod(keys[count % 2 == 1], len(vertices)))
     if not len(rim):
         return vertices, faces
     n = len(vertices)
@@ -123,6 +123,22 @@ def close_ends(
     cones = np.column_stack([rim, n + which])
     assert len(loops) == len(middle)
     return np.concatenate([vertices, middle]), np.concatenate([faces, cones])
+
+
+def _unique_rows(
+    rows: Float[np.ndarray, "n 3"],
+) -> tuple[Float[np.ndarray, "k 3"], Int[np.ndarray, " n"]]:
+    """Distinct rows in lexicographic order, and the number of each row among them.
+
+    `np.unique` compares rows one after the other, which takes eight times as long.
+    """
+    order = np.lexsort(rows.T[::-1])
+    ordered = rows[order]
+    is_first = np.ones(len(rows), bool)
+    is_first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    inverse = np.empty(len(rows), np.int64)
+    inverse[order] = np.cumsum(is_first) - 1
+    return ordered[is_first], inverse
 
 
 def num_pieces(faces: Int[np.ndarray, "m 3"]) -> int:

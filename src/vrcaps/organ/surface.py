@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,6 +37,12 @@ class Centerline:
     def length(self) -> float:
         """Length of the curve [m]."""
         return float(self.arc_length[-1])
+
+    @cached_property
+    def turns(self) -> Float[np.ndarray, " m 3"]:
+        """Rotation vector from each frame to the next, in the former [rad]."""
+        relative = np.swapaxes(self.frames[:-1], -1, -2) @ self.frames[1:]
+        return scipy.spatial.transform.Rotation.from_matrix(relative).as_rotvec()
 
 
 def polyline_points(
@@ -73,14 +80,8 @@ def interpolate(
     pull = (t * (1.0 - t) ** 2 * gap)[..., None] * frames[..., 2]
     pull -= (t**2 * (1.0 - t) * gap)[..., None] * following[..., 2]
     points = start + (t**2 * (3.0 - 2.0 * t))[..., None] * (stop - start) + pull
-    relative = np.swapaxes(frames, -1, -2) @ following
-    turn = (
-        scipy.spatial.transform.Rotation.from_matrix(relative.reshape(-1, 3, 3))
-        .as_rotvec()
-        .reshape(*t.shape, 3)
-    )
     partial = scipy.spatial.transform.Rotation.from_rotvec(
-        (t[..., None] * turn).reshape(-1, 3)
+        (t[..., None] * centerline.turns[below]).reshape(-1, 3)
     ).as_matrix()
     frames = frames @ partial.reshape(*t.shape, 3, 3)
     return points, frames, np.interp(at, knots, centerline.radius)

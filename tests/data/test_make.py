@@ -237,10 +237,10 @@ def test_a_dry_run_says_what_will_be_made(
     plan_file: Path, made: Path, tmp_path: Path, capsys
 ) -> None:
     command = ["dataset", "make", str(plan_file), "--dry-run", "--out"]
-    main([*command, str(tmp_path / "none")])
+    main([*command, str(tmp_path / "none"), "--estimate"])
     said = capsys.readouterr().out
     assert "tubes: 4 patients (2 train, 1 val, 1 test), 8 recordings." in said
-    assert "To record: 8 recordings, 24 frames. About " in said
+    assert "To record: 8 recordings, 24 frames.\nAbout " in said
     assert f"{tmp_path / 'none'} has " in said
     assert "Measured with tube with tiny." in said
     assert not (tmp_path / "none").exists()
@@ -249,13 +249,25 @@ def test_a_dry_run_says_what_will_be_made(
     assert "Selected: recordings 2 to 3.\n2 of them exist.\nNothing to do" in said
 
 
-def test_a_dry_run_refuses_what_the_disk_cannot_hold(
+def test_a_dry_run_records_nothing(
+    plan_file: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_):
+        raise AssertionError("a dry run measures nothing")
+
+    monkeypatch.setattr("vrcaps.data.estimate.estimate", refuse)
+    main(["dataset", "make", str(plan_file), "--dry-run", "--out", str(tmp_path / "none")])
+    assert capsys.readouterr().out.endswith("To record: 8 recordings, 24 frames.\n")
+    assert not (tmp_path / "none").exists()
+
+
+def test_an_estimate_refuses_what_the_disk_cannot_hold(
     plan_file: Path, made: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = Estimate(24, 7500.0, 3 * 10**9, ("tube with tiny",))
+    found = Estimate(7500.0, 3 * 10**9, ("tube with tiny",))
     monkeypatch.setattr("vrcaps.data.estimate.estimate", lambda *_: found)
     monkeypatch.setattr(LocalStore, "free_bytes", lambda _: 10**6)
-    command = ["dataset", "make", str(plan_file), "--dry-run", "--out"]
+    command = ["dataset", "make", str(plan_file), "--estimate", "--out"]
     said = fail([*command, str(tmp_path / "none")], capsys)
     assert "has 1.0 MB free; 3.0 GB are required. Give an --out with more space" in said
     other = tmp_path / "other.toml"

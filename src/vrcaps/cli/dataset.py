@@ -48,8 +48,7 @@ class Make:
     """Folder or URL of the data set: new, or an unfinished one of the same plan."""
 
     units: str | None = None
-    """Range of units to make, FIRST:END without END, such as 0:100 for the first hundred: a slice
-    for each machine."""
+    """Range of units to make on this machine, such as 0:100 for the first hundred."""
 
     workers: int | None = None
     """Number of parallel recordings; by default one per processor. 0 records in this process."""
@@ -58,7 +57,10 @@ class Make:
     """Ray cluster to record on: local starts one here, auto joins this machine's, or HOST:PORT."""
 
     dry_run: bool = False
-    """Print the recordings to make and estimates of duration and disk space, then exit."""
+    """Print the number of recordings and frames to make, then exit."""
+
+    estimate: bool = False
+    """Print also estimates of duration and disk space, measured in minutes, then exit."""
 
     def run(self) -> None:
         """Make and report.
@@ -75,8 +77,10 @@ class Make:
         plan = read_plan(self.plan)
         units = Units(plan)
         indices = _slice(self.units, len(units))
-        if self.dry_run:
-            _estimate(plan, units, indices or range(len(units)), self.out)
+        if self.dry_run or self.estimate:
+            missing = _list(plan, units, indices or range(len(units)), self.out)
+            if self.estimate and missing:
+                _estimate(units, missing, self.out)
             return
         with progress_bar("recording") as progress:
             made = make_dataset(
@@ -189,20 +193,13 @@ def _slice(text: str | None, count: int) -> range | None:
     return indices
 
 
-def _estimate(plan: Plan, units: Units, indices: Sequence[int], out: str) -> None:
-    """Print an estimate of a run.
-
-    Args:
-        plan: Plan of the data set.
-        units: Its units.
-        indices: Indices of the units to make.
-        out: Folder or URL of the data set.
+def _list(plan: Plan, units: Units, indices: Sequence[int], out: str) -> list[int]:
+    """Print the recordings to make; return their indices.
 
     Raises:
-        InputError: If the target holds another data set, or lacks space.
+        InputError: If the plan is invalid, or the target holds another data set.
     """
-    from vrcaps.data.card import duration_text, size_text
-    from vrcaps.data.estimate import estimate
+    from vrcaps.data.estimate import num_frames
     from vrcaps.data.ledger import complete_units, require_target
     from vrcaps.data.store import open_store
     from vrcaps.data.units import check_plan
@@ -223,22 +220,25 @@ def _estimate(plan: Plan, units: Units, indices: Sequence[int], out: str) -> Non
         console.print(f"{len(complete)} of them exist.")
     if not missing:
         console.print("Nothing to do: all are complete.")
-        return
-    with console.status("recording a few frames to measure"):
-        cost = estimate(units, missing)
-    free = store.free_bytes()
-    space = "" if free is None else f"; {out} has {size_text(free)} free"
-    console.print(
-        f"To record: {len(missing)} recordings, {cost.frames:,} frames. About "
-        f"{duration_text(cost.seconds)} on this machine (one after the other) and "
-        f"{size_text(cost.num_bytes)}{space}."
-    )
-    console.print(f"Measured with {', '.join(cost.measured)}.")
-    if free is not None and free < cost.num_bytes:
-        raise InputError(
-            f"{out} has {size_text(free)} free; {size_text(cost.num_bytes)} are required. Give an "
-            "--out with more space, or fewer frames, channels or patients."
-        )
+        return missing
+    console.print(f"To record: {len(missing)} recordings, {num_frames(units, missing):,} frames.")
+    return missing
+
+
+def _estimate(units: Units, missing: Sequence[int], out: str) -> None:
+    """Print the estimated duration and size of the missing recordings.
+
+    Raises:
+        InputError: If the target lacks space, or a recording cannot be made.
+    """
+    from vrcaps.data.estimate import describe, estimate, require_space
+    from vrcaps.data.store import open_store
+
+    with progress_bar("measuring") as progress:
+        cost = estimate(units, missing, progress)
+    free = open_store(out).free_bytes()
+    console.print(describe(cost, out, free))
+    require_space(cost, out, free)
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ def _summarize(out: Path, times: list[float], seconds: float) -> None:
     pictures = [out / name for name in ("sheet.png", "preview.mp4") if (out / name).exists()]
     console.print(f"Look at {' and '.join(str(path) for path in pictures)}.")
     if "rgb" in episode.channels and len(pictures) == 1:
-        console.print(r"For a video of later recordings: pip install 'vrcaps\[video]'")
+        console.print("For a video of later recordings: pip install 'vrcaps[video]'")
     console.print(f"Check it with: vrcaps check {out}")
 
 

@@ -74,7 +74,8 @@ class Pull:
         source = self.source or os.environ.get(VARIABLE, "")
         if not source:
             raise InputError(
-                f"No source is given. Add --from FOLDER or --from URL, or set {VARIABLE}."
+                f"No source is given. Add --from FOLDER or --from URL, such as the folder weights "
+                f"of a checkout of vrcaps, or set {VARIABLE}."
             )
         folder = self.out or download_folder()
         with progress_bar("fetching") as show:

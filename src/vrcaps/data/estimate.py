@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
 
+from vrcaps.core.errors import InputError
 from vrcaps.core.files import cache_in, files_in, scratch_folder
+from vrcaps.data.card import duration_text, size_text
 from vrcaps.data.units import Unit, Units
 from vrcaps.organ.cache import short_lived_organs
 from vrcaps.scenario.scenario import OrganGenerated, Scenario
@@ -23,13 +25,11 @@ class Estimate:
     """Estimated cost of recordings.
 
     Attributes:
-        frames: Number of frames.
         seconds: Time on this machine, sequentially with all processors [s].
         num_bytes: Size of all files.
         measured: Measured kinds of recordings: an organ and a capsule each.
     """
 
-    frames: int
     seconds: float
     num_bytes: int
     measured: tuple[str, ...]
@@ -52,16 +52,34 @@ class _Costs:
     organ: _Cost
 
 
-def estimate(units: Units, numbers: Sequence[int]) -> Estimate:
-    """Measure a few frames of each kind of recording and extrapolate.
-
-    A kind is an organ and a capsule; the four most frequent ones are measured. Two recordings,
-    one with twice as many frames, separate the time per frame from that of the start. Organs are
-    generated again for this, without the cache.
+def num_frames(units: Units, numbers: Sequence[int]) -> int:
+    """Number of frames of recordings, from the mean of at most 25 patients.
 
     Args:
         units: Units of the data set.
         numbers: Indices of the recordings; at least one.
+
+    Raises:
+        InputError: If a scenario is invalid.
+    """
+    return round(fmean(u.scenario.frames for u in _sample(units, numbers)) * len(numbers))
+
+
+def estimate(
+    units: Units,
+    numbers: Sequence[int],
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> Estimate:
+    """Measure a few frames of each kind of recording and extrapolate.
+
+    A kind is an organ and a capsule; the four most frequent ones are measured. Two recordings,
+    one with twice as many frames, separate the time per frame from that of the start. One patient
+    of each organ is generated for this, without the cache; all capsules record this one.
+
+    Args:
+        units: Units of the data set.
+        numbers: Indices of the recordings; at least one.
+        progress: Called with the number of measured kinds and their total number.
 
     Raises:
         InputError: If a recording cannot be made.
@@ -72,7 +90,7 @@ def estimate(units: Units, numbers: Sequence[int]) -> Estimate:
         kinds.setdefault(_kind(unit.scenario), []).append(unit)
     chosen = sorted(kinds, key=lambda kind: (-len(kinds[kind]), kind))[:_MAX_KINDS]
     with scratch_folder() as scratch, short_lived_organs():
-        costs = _measured({kind: kinds[kind][0] for kind in chosen}, scratch)
+        costs = _measured({kind: kinds[kind][0] for kind in chosen}, scratch, progress)
     scale = len(numbers) / sum(len(kinds[kind]) for kind in chosen)
     seconds = num_bytes = 0.0
     for kind in chosen:
@@ -85,8 +103,36 @@ def estimate(units: Units, numbers: Sequence[int]) -> Estimate:
             num_bytes += count * times * part.num_bytes
         seconds += organs * cost.organ.seconds
         num_bytes += organs * cost.organ.num_bytes
-    frames = round(fmean(unit.scenario.frames for unit in sample) * len(numbers))
-    return Estimate(frames, seconds, round(num_bytes), tuple(chosen))
+    return Estimate(seconds, round(num_bytes), tuple(chosen))
+
+
+def describe(cost: Estimate, out: str, free: int | None) -> str:
+    """Two lines: duration and size, and the measured recordings.
+
+    Args:
+        cost: The estimate.
+        out: Folder or URL of the data set.
+        free: Its free space [bytes]; None if unknown.
+    """
+    space = "" if free is None else f"; {out} has {size_text(free)} free"
+    return (
+        f"About {duration_text(cost.seconds)} on this machine (one after the other) and "
+        f"{size_text(cost.num_bytes)}{space}.\n"
+        f"Measured with {', '.join(cost.measured)}."
+    )
+
+
+def require_space(cost: Estimate, out: str, free: int | None) -> None:
+    """Check that the target has the estimated space.
+
+    Raises:
+        InputError: If it has less.
+    """
+    if free is not None and free < cost.num_bytes:
+        raise InputError(
+            f"{out} has {size_text(free)} free; {size_text(cost.num_bytes)} are required. Give an "
+            "--out with more space, or fewer frames, channels or patients."
+        )
 
 
 def _sample(units: Units, numbers: Sequence[int]) -> list[Unit]:
@@ -97,10 +143,14 @@ def _sample(units: Units, numbers: Sequence[int]) -> list[Unit]:
 
 
 def _kind(scenario: Scenario) -> str:
+    capsule = scenario.capsule if isinstance(scenario.capsule, str) else "a capsule"
+    return f"{_organ_name(scenario)} with {Path(capsule).stem}"
+
+
+def _organ_name(scenario: Scenario) -> str:
     organ = scenario.organ
     name = organ.name if isinstance(organ, OrganGenerated) else str(getattr(organ, "path", "organ"))
-    capsule = scenario.capsule if isinstance(scenario.capsule, str) else "a capsule"
-    return f"{Path(name).stem} with {Path(capsule).stem}"
+    return Path(name).stem
 
 
 def _organ_of(unit: Unit) -> tuple[object, ...]:
@@ -109,23 +159,30 @@ def _organ_of(unit: Unit) -> tuple[object, ...]:
     return unit.patient, bool(scenario.lesions) and scenario.clean_twin
 
 
-def _measured(units: Mapping[str, Unit], scratch: Path) -> dict[str, _Costs]:
-    """Costs of some recordings; a shared organ is generated once.
+def _measured(
+    units: Mapping[str, Unit], scratch: Path, progress: Callable[[int, int], None]
+) -> dict[str, _Costs]:
+    """Costs of some recordings; those of the same kind of organ share one patient.
 
     Args:
         units: Recordings by kind.
         scratch: Folder for the recordings.
+        progress: Called with the number of measured kinds and their total number.
     """
     costs: dict[str, _Costs] = {}
-    organs: dict[object, _Cost] = {}
+    patients: dict[str, tuple[Scenario, _Cost]] = {}
     with cache_in(scratch / "cache"):
         for kind, unit in units.items():
-            key = unit.scenario.organ
-            if key not in organs:
+            progress(len(costs), len(units))
+            name = _organ_name(unit.scenario)
+            if name not in patients:
                 seconds = [_build_seconds(unit.scenario) for _ in range(2)]
-                organs[key] = _Cost(max(seconds[0] - seconds[1], 0.0), 0.0)
-            start, frame, num_bytes = _recording_costs(unit.scenario, scratch / kind)
-            costs[kind] = _Costs(start, frame, replace(organs[key], num_bytes=num_bytes))
+                organ = _Cost(max(seconds[0] - seconds[1], 0.0), 0.0)
+                patients[name] = unit.scenario, organ
+            first, organ = patients[name]
+            scenario = replace(first, capsule=unit.scenario.capsule)
+            start, frame, num_bytes = _recording_costs(scenario, scratch / kind)
+            costs[kind] = _Costs(start, frame, replace(organ, num_bytes=num_bytes))
     return costs
 
 

@@ -173,9 +173,11 @@ def test_what_cannot_be_learned_from_is_one_clear_line():
     bare = sequence.with_channels(("rgb",))
     with pytest.raises(InputError, match=r"requires the channel 'depth'\. small has none"):
         samples_of(DepthTask(), [bare])
+    with pytest.raises(InputError, match=r"no recording for depth\. Choose another split"):
+        samples_of(DepthTask(), [])
     with pytest.raises(InputError, match="images have no masks"):
         samples_of(SegmentationTask(), [bare])
-    with pytest.raises(InputError, match="No frame of small can be used to train classification"):
+    with pytest.raises(InputError, match="No frame of small can be used for classification"):
         samples_of(ClassificationTask(classes=("ulcer", "bleeding")), [sequence])
     with pytest.raises(InputError, match=r"size is 100\. Allowed: multiples of 32"):
         SegmentationTask(backbone=Backbone(100))

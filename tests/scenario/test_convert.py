@@ -69,6 +69,7 @@ def test_a_part_of_a_table_leaves_the_rest_as_its_field_has_it():
         ({"star": {"kind": "cow"}}, r"zoo\.star\.kind is 'cow'\. Allowed: cat, dog\."),
         ({"star": {"kind": ["cat"]}}, r"zoo\.star\.kind is \['cat'\]\. Allowed: cat, dog\."),
         ({"star": {"kind": {"a": 1}}}, r"zoo\.star\.kind is \{'a': 1\}\. Allowed: cat, dog\."),
+        ({"star": {"kind": "cat-2"}}, r"is 'cat-2'\. Allowed: cat, dog; parts after a hyphen are"),
         ({"star": {}}, r"zoo\.star\.kind is missing\. Allowed: cat, dog\."),
         ({"star": {"kind": "dog"}}, r"Missing key zoo\.star\.name: a text"),
         ({"star": 3}, r"zoo\.star is 3\. Allowed: a table or a table"),

@@ -203,7 +203,8 @@ class _UnknownKindError(_NotAllowedError):
 
     def __init__(self, kind: Any, known: Mapping[str, type]) -> None:
         given = "missing" if kind is None else _abbreviated(kind)
-        super().__init__(given, ", ".join(sorted(known)), verb=".kind is")
+        parts = "; parts after a hyphen are other keys" if "-" in str(kind) else ""
+        super().__init__(given, ", ".join(sorted(known)) + parts, verb=".kind is")
 
 
 def _table_hook(converter: Converter, cls: Any, units: bool) -> Callable[[Any, Any], Any]:
@@ -293,11 +294,10 @@ def _explained_table(error: ClassValidationError, at: str, units: bool) -> Input
     fields_, others = error.group_exceptions()
     for other in others:
         if isinstance(other, ForbiddenExtraKeysError):
-            allowed = ", ".join(_key(f, units) for f in known.values())
+            keys = [_key(f, units) for f in known.values()]
             given = sorted(other.extra_fields)[0]
-            meant = nearest(given, [_key(f, units) for f in known.values()])
             location = _titled("Unknown key", _located(at, given))
-            return InputError(f"{location}. Allowed: {allowed}.{meant}")
+            return InputError(f"{location}. Allowed: {', '.join(keys)}.{nearest(given, keys)}")
     for other, note in fields_:
         if isinstance(other, KeyError):
             location = _located(at, _key(known[note.name], units))

@@ -141,10 +141,15 @@ def samples_of(task: Task, sequences: Sequence[FrameSequence]) -> Samples:
     Raises:
         InputError: If a sequence lacks a required channel, or there is no frame.
     """
+    if not sequences:
+        raise InputError(
+            f"There is no recording for {task.kind}. Choose another split, or make a data set with "
+            "more patients."
+        )
     frames = [frame for one in sequences for frame in _frames(task, one)]
     if not frames:
-        names = ", ".join(one.name for one in sequences[:3]) or "nothing"
-        raise InputError(f"No frame of {names} can be used to train {task.kind}.")
+        names = ", ".join(one.name for one in sequences[:3])
+        raise InputError(f"No frame of {names} can be used for {task.kind}.")
     return Samples(task, frames)
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CalibrateGeometric:
-    """Fit a lens model to photographs of a chessboard, and write a capsule file for record.
+    """Fit a lens model to photographs of a chessboard, and write a capsule file.
 
     Take 8 or more photographs through the capsule's own dome: the board near, tilted to different
     sides by 20° to 45°, and in every part of the image up to its rim. The board must be flat and

@@ -139,7 +139,7 @@ def coverable(
 def capsule_poses(
     model: Model, *, spacing: float, num_offsets: int, num_directions: int
 ) -> Float[np.ndarray, "n 4 4"]:
-    """Poses ``Ts_world_capsule`` at which the capsule fits into the wall at rest.
+    """Compute poses ``Ts_world_capsule`` at which the capsule fits into the wall at rest.
 
     Args:
         model: Organ and capsule.

@@ -5,13 +5,15 @@ from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
 
 _RAYS, _SLICES, _ORDERS, _OCTAVES = 40, 16, 5, 3
-_FARTHEST, _SCALE = 0.1, 0.33
+_FARTHEST, _SCALE = 0.1, 0.322
+_TURN = Rotation.from_rotvec(np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)).as_matrix()
 
 
-def lattice(point: np.ndarray, seed: int) -> np.ndarray:
-    """Numbers from −1/2 to 1/2 of integer points [n 3]."""
+def gradient(point: np.ndarray, seed: int) -> np.ndarray:
+    """Components from −1 to 1 [n 3] of integer points [n 3]."""
     x = np.full(point.shape[:-1], seed, np.uint32)
     with np.errstate(over="ignore"):
         for k, factor in enumerate((0x8DA6B343, 0xD8163841, 0xCB1AB31F)):
@@ -22,24 +24,25 @@ def lattice(point: np.ndarray, seed: int) -> np.ndarray:
         x ^= x >> np.uint32(13)
         x *= np.uint32(0xC2B2AE35)
         x ^= x >> np.uint32(16)
-    return x / 4294967295.0 - 0.5
+    return np.stack([(x >> np.uint32(shift)) & 1023 for shift in (0, 10, 20)], -1) / 511.5 - 1.0
 
 
 def fractal(point: np.ndarray, seed: int) -> np.ndarray:
-    """Sum of octaves of value noise at points [n 3]."""
-    total, scale, height = np.zeros(point.shape[:-1]), 1.0, 1.0
+    """Sum of octaves of gradient noise at points [n 3]."""
+    total, at, height = np.zeros(point.shape[:-1]), point, 1.0
     for octave in range(_OCTAVES):
-        at = point * scale
+        at = at @ _TURN.T
         cell = np.floor(at)
-        t = at - cell
-        t = t * t * (3.0 - 2.0 * t)
+        offset = at - cell
+        t = offset * offset * (3.0 - 2.0 * offset)
         value = np.zeros(point.shape[:-1])
         for corner in np.ndindex(2, 2, 2):
             weight = np.prod(np.where(np.array(corner) == 1, t, 1.0 - t), axis=-1)
             own = (seed + octave * 0x632BE5AB) % 2**32
-            value += weight * lattice((cell + corner).astype(np.int64), own)
+            slope = gradient((cell + corner).astype(np.int64), own)
+            value += weight * (slope * (offset - corner)).sum(axis=-1)
         total += height * value
-        scale, height = scale * 2.1, height * 0.6
+        at, height = 2.1 * at, height * 0.6
     return total / _SCALE
 
 
@@ -115,6 +118,14 @@ def integrals(rays, start, farthest, pose, leds, medium):
     return np.stack(nodes, axis=1)
 
 
+def _spline(at, offset, count):
+    """Node around a coordinate and its weight, of the quadratic B-spline."""
+    middle = np.round(at)
+    away = np.abs(at - middle - offset)
+    weight = np.where(away < 0.5, 0.75 - away**2, 0.5 * np.clip(1.5 - away, 0.0, None) ** 2)
+    return np.clip(middle.astype(int) + offset, 0, count - 1), weight
+
+
 def immerse(planes, rays, distance, start, pose, leds, medium):
     """Twin of the core's function of this name."""
     height, width = distance.shape
@@ -134,13 +145,12 @@ def immerse(planes, rays, distance, start, pose, leds, medium):
     along = np.sqrt(along) * _SLICES
     slice_ = np.minimum(along.astype(int), _SLICES - 1)
     t, total, whole = (along - slice_)[..., None], 0.0, 0.0
-    for down in (0, 1):
-        for right in (0, 1):
-            v, u = (y % grid) / grid, (x % grid) / grid
-            weight = (v if down else 1.0 - v) * (u if right else 1.0 - u)
-            cell = (y // grid + down, x // grid + right)
-            weight = (weight * is_lit[cell])[..., None]
-            near, far = nodes[(*cell, slice_)], nodes[(*cell, slice_ + 1)]
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            row, v = _spline(y / grid, down, len(rows))
+            column, u = _spline(x / grid, right, len(columns))
+            weight = (v * u * is_lit[row, column])[..., None]
+            near, far = nodes[row, column, slice_], nodes[row, column, slice_ + 1]
             total, whole = total + weight * (near + t * (far - near)), whole + weight
     seen = np.isfinite(rays).all(axis=-1) & (whole[..., 0] > 0.0)
     node = np.where(seen[..., None], total / np.where(whole > 0.0, whole, 1.0), 0.0)

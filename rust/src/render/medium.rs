@@ -24,8 +24,15 @@ const SLICES: usize = 16;
 const ORDERS: usize = 5;
 /// Octaves of the noise.
 const OCTAVES: u32 = 3;
-/// Scale of three octaves of trilinear value noise; its standard deviation is then 0.69.
-const SCALE: f32 = 0.33;
+/// Scale of three octaves of gradient noise; its standard deviation is then 0.69.
+const SCALE: f32 = 0.322;
+/// Rotation from one octave to the next, by 1 rad about (1, 2, 3): lattices that are aligned give
+/// blocks.
+const TURN: [Vec3; 3] = [
+    [0.573_137_9, -0.609_006_6, 0.548_291_8],
+    [0.740_348_8, 0.671_644_5, -0.027_879_3],
+    [-0.351_278_5, 0.421_905_9, 0.835_822_3],
+];
 /// Distance beyond which no light returns [m].
 const FARTHEST: f32 = 0.1;
 
@@ -165,23 +172,28 @@ impl Grid {
         let slice = (along as usize).min(SLICES - 1);
         let t = along - slice as f32;
         let (mut sum, mut whole) = ([0.0; VALUES], 0.0);
-        let (step, size) = (self.step, self.step as f32);
-        let (v, u) = ((y % step) as f32 / size, (x % step) as f32 / size);
-        for (row, v) in [(y / step, 1.0 - v), (y / step + 1, v)] {
-            for (column, u) in [(x / step, 1.0 - u), (x / step + 1, u)] {
+        for (row, v) in spline(y, self.step, self.rays.len() / self.columns) {
+            for (column, u) in spline(x, self.step, self.columns) {
                 let weight = u * v;
                 let Some(ray) = &self.rays[row * self.columns + column] else { continue };
-                if weight > 0.0 {
-                    for k in 0..VALUES {
-                        sum[k] +=
-                            weight * (ray[slice][k] + t * (ray[slice + 1][k] - ray[slice][k]));
-                    }
-                    whole += weight;
+                for k in 0..VALUES {
+                    sum[k] += weight * (ray[slice][k] + t * (ray[slice + 1][k] - ray[slice][k]));
                 }
+                whole += weight;
             }
         }
         (whole > 0.0).then(|| sum.map(|x| x / whole))
     }
+}
+
+/// Nodes around a pixel and their weights, of the quadratic B-spline: linear weights would show
+/// flocs as blocks.
+fn spline(pixel: usize, step: usize, count: usize) -> [(usize, f32); 3] {
+    let at = pixel as f32 / step as f32;
+    let middle = at.round();
+    let t = at - middle;
+    let weights = [0.5 * (0.5 - t) * (0.5 - t), 0.75 - t * t, 0.5 * (0.5 + t) * (0.5 + t)];
+    std::array::from_fn(|k| ((middle as usize + k).clamp(1, count) - 1, weights[k]))
 }
 
 impl Rig<'_> {
@@ -323,34 +335,36 @@ fn irradiance(led: &[f32; 10], point: Vec3) -> (Vec3, f32) {
 
 /// Sum of octaves of noise, of mean 0 and standard deviation 0.69.
 fn fractal(point: Vec3, seed: u32) -> f32 {
-    let (mut sum, mut scale, mut height) = (0.0, 1.0, 1.0);
+    let (mut sum, mut at, mut height) = (0.0, point, 1.0);
     for octave in 0..OCTAVES {
-        let at = point.map(|x| x * scale);
-        sum += height * value_noise(at, seed.wrapping_add(octave.wrapping_mul(0x632b_e5ab)));
-        scale *= 2.1;
+        at = TURN.map(|row| row[0] * at[0] + row[1] * at[1] + row[2] * at[2]);
+        sum += height * gradient_noise(at, seed.wrapping_add(octave.wrapping_mul(0x632b_e5ab)));
+        at = at.map(|x| 2.1 * x);
         height *= 0.6;
     }
     sum / SCALE
 }
 
-/// Value noise: numbers from −1/2 to 1/2 at integer points, smooth in between (Perlin 1985).
-fn value_noise(point: Vec3, seed: u32) -> f32 {
+/// Gradient noise: 0 at integer points, with gradients of components from −1 to 1 (Perlin 1985).
+fn gradient_noise(point: Vec3, seed: u32) -> f32 {
     let cell = point.map(f32::floor);
-    let t: Vec3 = std::array::from_fn(|k| {
-        let x = point[k] - cell[k];
-        x * x * (3.0 - 2.0 * x)
-    });
+    let offset: Vec3 = std::array::from_fn(|k| point[k] - cell[k]);
+    let t = offset.map(|x| x * x * (3.0 - 2.0 * x));
     let corner = cell.map(|x| x as i32);
-    let at =
-        |dx: i32, dy: i32, dz: i32| lattice([corner[0] + dx, corner[1] + dy, corner[2] + dz], seed);
+    let at = |dx: i32, dy: i32, dz: i32| {
+        let slope = gradient([corner[0] + dx, corner[1] + dy, corner[2] + dz], seed);
+        let from = [offset[0] - dx as f32, offset[1] - dy as f32, offset[2] - dz as f32];
+        slope[0] * from[0] + slope[1] * from[1] + slope[2] * from[2]
+    };
     let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
     let near = mix(mix(at(0, 0, 0), at(1, 0, 0), t[0]), mix(at(0, 1, 0), at(1, 1, 0), t[0]), t[1]);
     let far = mix(mix(at(0, 0, 1), at(1, 0, 1), t[0]), mix(at(0, 1, 1), at(1, 1, 1), t[0]), t[1]);
     mix(near, far, t[2])
 }
 
-/// Number from −1/2 to 1/2 of an integer point, by the finalizer of MurmurHash3 (Appleby 2011).
-fn lattice(point: [i32; 3], seed: u32) -> f32 {
+/// Components from −1 to 1 of an integer point, ten bits each, by the finalizer of MurmurHash3
+/// (Appleby 2011).
+fn gradient(point: [i32; 3], seed: u32) -> Vec3 {
     let mut x = seed;
     for (k, factor) in [0x8da6_b343_u32, 0xd816_3841, 0xcb1a_b31f].into_iter().enumerate() {
         x ^= (point[k] as u32).wrapping_mul(factor);
@@ -361,5 +375,5 @@ fn lattice(point: [i32; 3], seed: u32) -> f32 {
     x ^= x >> 13;
     x = x.wrapping_mul(0xc2b2_ae35);
     x ^= x >> 16;
-    x as f32 / u32::MAX as f32 - 0.5
+    [0, 10, 20].map(|shift| (x >> shift & 1023) as f32 * (2.0 / 1023.0) - 1.0)
 }

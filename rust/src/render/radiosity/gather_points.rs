@@ -14,8 +14,10 @@ use std::hash::BuildHasherDefault;
 const SPACING: f32 = 0.3;
 /// Least and most of a gather point's spacing, as shares of the median spacing.
 const SPACINGS: [f32; 2] = [0.2, 1.5];
-/// Rays from which the distance is found are a square of so many by so many.
-const SIDE: usize = 4;
+/// Vertices next to each other in the hierarchy that share a distance.
+const GROUP: usize = 4;
+/// Rays of each vertex from which the distance is found are a square of so many by so many.
+const SIDE: usize = 2;
 /// Interpolation radius of a gather point, in its spacings.
 const INTERPOLATION_RADIUS: f32 = 1.5;
 /// Least cosine between the normals of a vertex and of the gather point that stands for it.
@@ -50,11 +52,8 @@ impl GatherPoints {
         let widest = spacings.iter().fold(0.0, |a, &b| max(a, b));
         let mut grid = Grid::new(INTERPOLATION_RADIUS * widest);
         let (mut vertex, mut spacing): (Vec<u32>, Vec<f32>) = (Vec::new(), Vec::new());
-        let mut seen = vec![false; wall.vertices.len()];
-        for &v in wall.bvh.corners.iter().flatten() {
-            if std::mem::replace(&mut seen[v as usize], true) {
-                continue;
-            }
+        let order = in_hierarchy(wall);
+        for &v in &order {
             let (place, normal) = (wall.vertices[v as usize], wall.normals[v as usize]);
             let own = spacings[v as usize];
             let mut is_covered = false;
@@ -73,10 +72,11 @@ impl GatherPoints {
         }
         let near =
             |v: usize| interpolation_weights(wall, (&vertex, &spacing), &grid, v, spacings[v]);
-        let neighbors: Vec<_> = (0..wall.vertices.len())
-            .into_par_iter()
-            .map(|v| if seen[v] { near(v) } else { [(0, 0.0); MAX_NEIGHBORS] })
-            .collect();
+        let mut neighbors = vec![[(0, 0.0); MAX_NEIGHBORS]; wall.vertices.len()];
+        let found: Vec<_> = order.par_iter().map(|&v| near(v as usize)).collect();
+        for (&v, found) in order.iter().zip(found) {
+            neighbors[v as usize] = found;
+        }
         let mut of_vertex: Vec<u32> = neighbors.iter().map(|h| h[0].0).collect();
         for (s, &v) in vertex.iter().enumerate() {
             of_vertex[v as usize] = s as u32;
@@ -101,33 +101,48 @@ pub fn nearest_corner(wall: &Wall, triangle: u32, edges: Vec3) -> usize {
     }) as usize
 }
 
-/// Distance that gather points should have around each vertex [m].
-fn spacings(wall: &Wall) -> Vec<f32> {
-    let count = wall.vertices.len();
-    let found: Vec<f32> = (0..count).into_par_iter().map(|v| SPACING * openness(wall, v)).collect();
-    let mut sorted = found.clone();
-    sorted.sort_unstable_by(f32::total_cmp);
-    let [least, most] = SPACINGS.map(|factor| factor * sorted[count / 2]);
-    found.into_iter().map(|x| clamp(x, least, most)).collect()
+/// Vertices of triangles, each once, in the order of the hierarchy.
+fn in_hierarchy(wall: &Wall) -> Vec<u32> {
+    let mut seen = vec![false; wall.vertices.len()];
+    let is_new = |v: &u32| !std::mem::replace(&mut seen[*v as usize], true);
+    wall.bvh.corners.iter().flatten().copied().filter(is_new).collect()
 }
 
-/// Harmonic mean distance of what a vertex sees [m]; rays that meet nothing go as far as the wall
-/// is large.
+/// Distance that gather points should have around each vertex [m].
+fn spacings(wall: &Wall) -> Vec<f32> {
+    let order = in_hierarchy(wall);
+    let shared: Vec<f32> =
+        order.par_chunks(GROUP).map(|group| SPACING * openness(wall, group)).collect();
+    let mut sorted = shared.clone();
+    sorted.sort_unstable_by(f32::total_cmp);
+    let [least, most] = SPACINGS.map(|factor| factor * sorted[sorted.len() / 2]);
+    let mut found = vec![most; wall.vertices.len()];
+    for (group, own) in order.chunks(GROUP).zip(shared) {
+        for &v in group {
+            found[v as usize] = clamp(own, least, most);
+        }
+    }
+    found
+}
+
+/// Harmonic mean distance of what a group of vertices sees [m]; rays that meet nothing go as far as
+/// the wall is large.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn openness(wall: &Wall, v: usize) -> f32 {
-    let normal = wall.normals[v];
-    let origin = add(wall.vertices[v], scale(normal, 1e-4 * wall.extent));
-    let lobe = Lobe::turned(normal, 1.0, SIDE, v);
+fn openness(wall: &Wall, group: &[u32]) -> f32 {
     let mut sum = 0.0;
-    for direction in lobe.directions() {
-        let hit = ray::cast::<false>(&wall.bvh, origin, direction, wall.extent, u32::MAX);
-        sum += 1.0 / hit.map_or(wall.extent, |hit| max(hit.distance, 1e-4 * wall.extent));
+    for (k, &v) in group.iter().enumerate() {
+        let normal = wall.normals[v as usize];
+        let origin = add(wall.vertices[v as usize], scale(normal, 1e-4 * wall.extent));
+        for direction in Lobe::shifted(normal, 1.0, SIDE, k).directions() {
+            let hit = ray::cast::<false>(&wall.bvh, origin, direction, wall.extent, u32::MAX);
+            sum += 1.0 / hit.map_or(wall.extent, |hit| max(hit.distance, 1e-4 * wall.extent));
+        }
     }
-    (SIDE * SIDE) as f32 / sum
+    (SIDE * SIDE * group.len()) as f32 / sum
 }
 
 /// The gather points that vertex `v` interpolates from, the heaviest first; `own` is the spacing

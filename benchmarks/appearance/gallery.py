@@ -10,6 +10,7 @@ writes is replaced.
 from __future__ import annotations
 
 import argparse
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -75,6 +76,25 @@ def flight(organ: OrganSurface, capsule: str, number: int, seed: int = 0) -> tup
     rng = np.random.default_rng(seed)
     path = vrcaps.fly_through(model, vrcaps.FlyThrough(whole=True), frames=number, fps=1.0, rng=rng)
     return model, [path.state(k) for k in range(number)]
+
+
+def of_recordings() -> list[Tile]:
+    """Random views of each organ, as the camera pipeline encodes them by default."""
+    tiles = []
+    for name in ("small-bowel", "stomach", "colon"):
+        scenario = vrcaps.Scenario(
+            organ=vrcaps.OrganGenerated(name, seed=1),
+            seed=1,
+            capsule="mirocam",
+            motion=vrcaps.RandomViews(),
+            frames=COLUMNS,
+            channels=("rgb",),
+        )
+        with tempfile.TemporaryDirectory() as folder:
+            vrcaps.record(scenario, Path(folder) / "run")
+            episode = vrcaps.read_episode(Path(folder) / "run")
+            tiles += [(episode[index]["rgb"], name) for index in range(COLUMNS)]
+    return tiles
 
 
 def of_segments(name: str, capsule: str, each: int) -> list[Tile]:
@@ -192,6 +212,14 @@ def _record(*arguments: str) -> tuple[str, ...]:
 
 SHEETS = (
     Sheet(
+        "recorded",
+        "As recorded",
+        "Random views with default settings: automatic exposure, noise, sharpening and JPEG of the "
+        "camera, and contents drawn by prevalence. Patient 1, six views of each organ.",
+        _record("--organ small-bowel --patient-seed 1 --seed 1 --motion random-views --frames 6"),
+        of_recordings,
+    ),
+    Sheet(
         *("segments_stomach", "Stomach", "Each segment of patient 0."),
         _record(f"--organ stomach {_FINE}"),
         partial(of_segments, "stomach", "mirocam", 1),
@@ -302,11 +330,17 @@ HEAD = """# Gallery
 
 Frames of generated patients: every organ and segment, every kind and grade of lesion. One script
 with fixed seeds, `python -m benchmarks.appearance.gallery`, draws them all with the capsules'
-own LEDs and lenses, with shadows and radiosity; no picture is chosen by hand. Each lesion is seen
-from the one of 300 sampled positions in the lumen from which most of it is visible and it fills a
-sixth of the view. The commands below each sheet record such frames with all their labels. Here
-each frame is exposed to the same mean luminance, as a capsule adapts its light; a recording keeps
-the exposure that its capsule states.
+own LEDs and lenses; no picture is chosen by hand. Each lesion is seen from the one of 300 sampled
+positions in the lumen from which most of it is visible and it fills a sixth of the view. The
+commands below each sheet record such frames with all their labels. All sheets but the first show
+the ideal camera without contents, each frame at the same mean luminance.
+
+## Transit
+
+Phase III carries a MiroCam through a collapsed jejunum in 20 s, as recorded
+(`python -m docs.images.phase_three`).
+
+![A collapsed jejunum carries a capsule along](../images/phase_three.webp)
 
 """
 

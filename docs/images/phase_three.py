@@ -1,0 +1,46 @@
+"""Draw the video of the gallery: phase III carries a capsule through a collapsed jejunum.
+
+python -m docs.images.phase_three
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from PIL import Image
+
+import vrcaps
+from vrcaps.tissue.tissue import Drag
+
+FRAMES, FPS, SIDE_PX = 120, 6.0, 256
+
+
+def main(path: Path) -> None:
+    """Record the transit and write its images as an animation."""
+    scenario = vrcaps.Scenario(
+        organ=vrcaps.OrganGenerated("small-bowel", seed=1),
+        seed=1,
+        capsule="mirocam",
+        frames=FRAMES,
+        fps=FPS,
+        motion=vrcaps.Dynamics(
+            start=0.3, motility="phase-three", drag=Drag(viscosity=1.0), substep=2e-4
+        ),
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        vrcaps.record(scenario, Path(folder) / "run")
+        episode = vrcaps.read_episode(Path(folder) / "run")
+        images = [
+            Image.fromarray(episode[index]["rgb"]).resize((SIDE_PX, SIDE_PX))
+            for index in range(len(episode))
+        ]
+        run = episode.table.columns["arc_length_m"]
+        print(f"traveled {100.0 * (run[-1] - run[0]):.1f} cm in {FRAMES / FPS:.0f} s")
+    images[0].save(
+        path, save_all=True, append_images=images[1:], duration=round(1e3 / FPS), loop=0, quality=55
+    )
+
+
+if __name__ == "__main__":
+    main(Path(__file__).with_suffix(".webp"))

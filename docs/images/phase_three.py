@@ -35,8 +35,6 @@ def main(path: Path) -> None:
             Image.fromarray(episode[index]["rgb"]).resize((SIDE_PX, SIDE_PX))
             for index in range(len(episode))
         ]
-        run = episode.table.columns["arc_length_m"]
-        print(f"traveled {100.0 * (run[-1] - run[0]):.1f} cm in {FRAMES / FPS:.0f} s")
     images[0].save(
         path, save_all=True, append_images=images[1:], duration=round(1e3 / FPS), loop=0, quality=55
     )

@@ -107,11 +107,11 @@ def test_no_episode(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("key", ["status", "organ", "cameras"])
-def test_an_interrupted_recording_is_said_first(episode, key):
+def test_an_interrupted_recording_is_the_only_fault(episode, key):
     """Also where the head lacks what is written later."""
     _edit_head(episode, lambda h: (h.update(status="recording"), key != "status" and h.pop(key)))
-    first, *_ = check_episode(episode)
-    assert str(first) == (
+    (fault,) = check_episode(episode)
+    assert str(fault) == (
         "episode.json: the recording was interrupted. To resume it: "
         f"vrcaps record {episode / 'episode.json'} --out {episode}"
     )

@@ -60,19 +60,21 @@ def check_episode(
 ) -> list[Problem]:
     """Return all faults of an episode; none if every file exists, is complete and consistent.
 
+    An interrupted recording is the only fault reported; its files are written when it is resumed.
+
     Args:
         path: Folder of the episode.
         progress: Called with the number of checked frames and the total.
     """
     path = Path(path)
-    problems: list[Problem] = []
     try:
-        problems += _check_status(path)
-        episode = read_episode(path, unfinished=True)
+        if interrupted := _check_status(path):
+            return interrupted
+        episode = read_episode(path)
         scenario = episode.scenario
     except VrcapsError as error:
-        return [*problems, Problem(EPISODE_JSON, str(error))]
-    problems += _check_head(episode)
+        return [Problem(EPISODE_JSON, str(error))]
+    problems = [*_check_head(episode)]
     if (scenario.frames, scenario.channels) != (len(episode), episode.channels):
         problems.append(Problem(EPISODE_JSON, "scenario has other frames or channels than head"))
     problems += _check_table(episode)
@@ -108,7 +110,7 @@ def _check_frame(
 
 
 def _check_status(path: Path) -> list[Problem]:
-    """Report an interrupted recording, which explains all other faults."""
+    """Report an interrupted recording."""
     if read_head(LocalFiles(path)).get("status") == COMPLETE:
         return []
     go_on = f"vrcaps record {path / EPISODE_JSON} --out {path}"

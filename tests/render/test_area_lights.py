@@ -69,12 +69,15 @@ def _disc(count: int, radius: float) -> np.ndarray:
 
 
 def _as_points(led: Led, count: int) -> tuple[Led, ...]:
-    """Points evenly over the disc of an LED that looks along z."""
-    x, y, z = led.position_camera
+    """Points evenly over the disc of an LED."""
+    axis = np.array(led.direction_camera)
+    right = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    right /= np.linalg.norm(right)
+    offsets = _disc(count, led.emitter_radius) @ np.stack([right, np.cross(axis, right)])
     intensity = tuple((np.array(led.intensity) / count).tolist())
     return tuple(
-        replace(led, position_camera=(x + a, y + b, z), intensity=intensity, emitter_radius=0.0)
-        for a, b in _disc(count, led.emitter_radius).tolist()
+        replace(led, position_camera=tuple(place), intensity=intensity, emitter_radius=0.0)
+        for place in (led.position_camera + offsets).tolist()
     )
 
 
@@ -174,6 +177,23 @@ def test_reflection_of_a_disc_is_that_of_its_points(
     assert error < 0.5 * np.sqrt(np.mean((point - points) ** 2)) / points.mean() + 1e-3
     assert np.abs(disc - points).max() < peak * points.max()
     assert disc.sum() == pytest.approx(points.sum(), rel=0.02)
+
+
+@pytest.mark.parametrize("distance", [3.0 * MM, 12.0 * MM])
+@pytest.mark.parametrize("gloss", [0.6, 0.93])
+def test_highlight_of_a_disc_seen_at_an_angle(gloss: float, distance: float) -> None:
+    """The half vectors of a tilted disc fill an ellipse, not a circle."""
+    look = replace(_plain(clearcoat=1.0), clearcoat_gloss=gloss)
+    led = Led((2.5 * MM, 1.0 * MM, 0.0), (np.sin(1.0), 0.0, np.cos(1.0)), emitter_radius=RADIUS)
+    state, images = looking((0.0, 0.0, distance), (0.1, 0.0, -1.0)), []
+    for leds in ((led,), _as_points(led, 3000)):
+        camera = make_camera(pinhole(96, 1.6), leds=leds)
+        images.append(_radiance(make_model(_floor(look), camera), camera, state, FREE)[..., 0])
+    disc, points = images
+    assert points.max() > 2.0 * np.median(points)
+    assert np.sqrt(np.mean((disc - points) ** 2)) < 0.012 * points.mean()
+    assert np.abs(disc - points).max() < 0.1 * points.max()
+    assert disc.sum() == pytest.approx(points.sum(), rel=1e-3)
 
 
 def test_radius_0_is_the_point_light(rng: np.random.Generator) -> None:

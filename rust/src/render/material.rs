@@ -2,7 +2,7 @@
 //! diffuse base, a dielectric GGX lobe and a clearcoat.
 
 use crate::render::led::Led;
-use crate::render::near_disc::{NEAR, near_discs};
+use crate::render::near_disc::{NEAR, is_stretched, near_discs, stretched_highlights};
 use crate::simd::f32x64::*;
 use crate::wall::packet::MISS;
 use std::f32::consts::PI;
@@ -63,11 +63,12 @@ pub fn add_light(
         reflect::<false>(surface, material, led)
     };
     let share = if led.radius > 0.0 {
+        stretched_highlights(surface, material, led, &mut reflection);
         near_discs(surface, led, &mut reflection, visible)
     } else {
         [1.0; LANES]
     };
-    let Reflection { diffuse, specular, mut lobe } = reflection;
+    let Reflection { diffuse, specular, mut lobe, .. } = reflection;
     if led.exponent != 1.0 {
         for i in 0..LANES {
             lobe[i] = if led.exponent == 0.0 { 1.0 } else { pow(lobe[i], led.exponent) };
@@ -115,11 +116,14 @@ pub struct Reflection {
     pub specular: Lane,
     /// Cosine of the angle at which the light leaves the LED, at least 0.
     pub lobe: Lane,
+    /// Points in a highlight that is not round, see `is_stretched`.
+    pub is_stretched: [bool; LANES],
 }
 
 #[inline(always)]
 fn reflect<const IS_DISC: bool>(surface: &Surface, material: &Material, led: &Led) -> Reflection {
     let (mut diffuse, mut specular, mut lobe) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+    let mut stretched = [false; LANES];
     let clearcoat = Clearcoat::new(material);
     let square_radius = led.radius * led.radius;
     for i in 0..LANES {
@@ -136,13 +140,15 @@ fn reflect<const IS_DISC: bool>(surface: &Surface, material: &Material, led: &Le
         if IS_DISC {
             let ratio = min(square_radius / square, NEAR);
             base *= disc_mean(ratio, led, (dot(normal, led.direction), angles.light), cosine);
+            let alpha = min(gloss_alpha(surface.roughness[i]), material.clearcoat_alpha);
+            stretched[i] = is_stretched(&angles, square_radius / square, cosine, alpha);
         }
         let falloff = if angles.light > 0.0 { 1.0 / square } else { 0.0 };
         diffuse[i] = base * falloff;
         specular[i] = rest * falloff;
         lobe[i] = cosine;
     }
-    Reflection { diffuse, specular, lobe }
+    Reflection { diffuse, specular, lobe, is_stretched: stretched }
 }
 
 /// Mean irradiance over an LED's disc, relative to that of a point at its center.

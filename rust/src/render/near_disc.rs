@@ -1,13 +1,83 @@
-//! Diffuse light of an LED's disc on surfaces near it, where an expansion about its center fails.
+//! Light of an LED's disc where means over the whole disc fail: diffuse light on surfaces near it,
+//! and highlights in which the disc is seen at an angle.
 
 use crate::render::led::{Led, SAMPLES, disc_samples, sample_lane};
-use crate::render::material::{Angles, Reflection, Surface, diffuse_lobe};
+use crate::render::material::{
+    Angles, Clearcoat, Material, Reflection, Surface, diffuse_lobe, scatter,
+};
 use crate::simd::f32x64::*;
 
 /// Square of an LED's radius over that of its distance above which diffuse light is a sum over
 /// samples of its disc; and the same where the disc reaches below the surface's horizon.
 pub const NEAR: f32 = 0.1;
 const NEAR_HORIZON: f32 = 0.002;
+
+/// Cosine of the LED's angle times that between view and half vector below which a highlight is
+/// stretched.
+const ROUND: f32 = 0.8;
+/// Radius of a highlight that is summed over parts of the disc, in radii of the disc's half vectors.
+const HIGHLIGHT: f32 = 2.0;
+/// Half vectors of a disc that spread less, in widths of the lobe, are as good as a circle.
+const WIDE: f32 = 0.3;
+/// Factor on samples whose parts of the disc have its second moment together: those parts have a
+/// sixteenth of it of their own.
+const PARTS: f32 = 0.968;
+
+/// Return whether the mean of a lobe over the half vectors of a disc, taken as a circle, fails: they
+/// fill an ellipse, are wider than the lobe of width `alpha`, and are near the normal.
+///
+/// `ratio` is the square of the disc's radius over that of its distance, `cosine` that of the angle
+/// to the LED's axis.
+#[inline(always)]
+pub fn is_stretched(angles: &Angles, ratio: f32, cosine: f32, alpha: f32) -> bool {
+    let difference = max(angles.difference, 0.1);
+    let reach = 0.5 * ratio.sqrt() / difference;
+    let limit = HIGHLIGHT * reach + alpha;
+    let square_sine = 1.0 - angles.half * angles.half;
+    (angles.light > 0.0)
+        & (cosine * difference < ROUND)
+        & (reach > WIDE * alpha)
+        & (square_sine < limit * limit)
+}
+
+/// Sums highlights that are stretched over parts of the LED's disc, whose own means are those of
+/// circles.
+#[inline(always)]
+pub fn stretched_highlights(
+    surface: &Surface,
+    material: &Material,
+    led: &Led,
+    out: &mut Reflection,
+) {
+    if !out.is_stretched.contains(&true) {
+        return;
+    }
+    let (starts, clearcoat) = (disc_samples(led, 0), Clearcoat::new(material));
+    let places: [Vec3; SAMPLES] = std::array::from_fn(|number| {
+        add(led.position, scale(at(&starts, sample_lane(number)), PARTS))
+    });
+    for i in 0..LANES {
+        if !out.is_stretched[i] {
+            continue;
+        }
+        let (position, normal) = (at(&surface.position, i), at(&surface.normal, i));
+        let (view, roughness) = (at(&surface.view, i), surface.roughness[i]);
+        let mut parts = [0.0; SAMPLES];
+        for (part, place) in parts.iter_mut().zip(&places) {
+            let offset = sub(*place, position);
+            let square = max(dot(offset, offset), 1e-10);
+            let light = scale(offset, 1.0 / square.sqrt());
+            let angles = Angles::new(normal, view, light);
+            let cosine = clamp(-dot(light, led.direction), 0.0, 1.0);
+            let spread = led.half_vectors(square, cosine, angles.difference) / SAMPLES as f32;
+            let (_, gloss) = scatter::<true>(&angles, spread, roughness, material, &clearcoat);
+            let is_above = angles.light > 0.0;
+            *part = if is_above { gloss * led.lobe(cosine) / square } else { 0.0 };
+        }
+        let sum: f32 = parts.iter().sum();
+        out.specular[i] = sum / (SAMPLES as f32 * led.lobe(max(out.lobe[i], 1e-6)));
+    }
+}
 
 /// Sums the diffuse light of an LED whose disc is near a surface, or partly below its horizon, over
 /// samples of the disc; returns the factor on it, given the visible fraction.

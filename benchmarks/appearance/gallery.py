@@ -10,7 +10,6 @@ writes is replaced.
 from __future__ import annotations
 
 import argparse
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -23,6 +22,7 @@ from PIL import Image, ImageDraw
 import vrcaps
 from benchmarks.appearance.scenes import SETTINGS, at_lesions, exposed
 from benchmarks.common.scripts import ROOT
+from docs.images.views import recorded
 from vrcaps.lesion.polyp import PATTERNS
 from vrcaps.organ.segments import DISTENSIONS
 from vrcaps.organ.surface import OrganSurface
@@ -90,10 +90,7 @@ def of_recordings() -> list[Tile]:
             frames=COLUMNS,
             channels=("rgb",),
         )
-        with tempfile.TemporaryDirectory() as folder:
-            vrcaps.record(scenario, Path(folder) / "run")
-            episode = vrcaps.read_episode(Path(folder) / "run")
-            tiles += [(episode[index]["rgb"], name) for index in range(COLUMNS)]
+        tiles += [(frame["rgb"], name) for frame in recorded(scenario)]
     return tiles
 
 

@@ -5,7 +5,6 @@ python -m docs.images.channels
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 
 import matplotlib
@@ -13,6 +12,7 @@ import numpy as np
 from PIL import Image
 
 import vrcaps
+from docs.images.views import recorded
 from vrcaps.scenario.scenario import parse_lesion
 
 CHANNELS = ("rgb", "depth", "normal", "instance")
@@ -52,10 +52,8 @@ def views(organ: str) -> list[dict[str, np.ndarray]]:
         lesions=tuple(parse_lesion(text) for text in LESIONS[organ]),
         channels=CHANNELS,
     )
-    with tempfile.TemporaryDirectory() as folder:
-        vrcaps.record(scenario, Path(folder) / "run")
-        episode = vrcaps.read_episode(Path(folder) / "run")
-        return [dict(episode[index]) for index in VIEWS[organ]]
+    frames = recorded(scenario)
+    return [frames[index] for index in VIEWS[organ]]
 
 
 def tile(arrays: dict[str, np.ndarray], channel: str) -> np.ndarray:

@@ -5,12 +5,12 @@ python -m docs.images.phase_three
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 
 from PIL import Image
 
 import vrcaps
+from docs.images.views import recorded
 from vrcaps.tissue.tissue import Drag
 
 FRAMES, FPS, SIDE_PX = 120, 6.0, 256
@@ -24,17 +24,13 @@ def main(path: Path) -> None:
         capsule="mirocam",
         frames=FRAMES,
         fps=FPS,
+        channels=("rgb",),
         motion=vrcaps.Dynamics(
             start=0.3, motility="phase-three", drag=Drag(viscosity=1.0), substep=2e-4
         ),
     )
-    with tempfile.TemporaryDirectory() as folder:
-        vrcaps.record(scenario, Path(folder) / "run")
-        episode = vrcaps.read_episode(Path(folder) / "run")
-        images = [
-            Image.fromarray(episode[index]["rgb"]).resize((SIDE_PX, SIDE_PX))
-            for index in range(len(episode))
-        ]
+    frames = recorded(scenario)
+    images = [Image.fromarray(frame["rgb"]).resize((SIDE_PX, SIDE_PX)) for frame in frames]
     images[0].save(
         path, save_all=True, append_images=images[1:], duration=round(1e3 / FPS), loop=0, quality=55
     )

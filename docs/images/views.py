@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,14 @@ from PIL import Image
 import vrcaps
 
 SHOWN = (3, 9, 14, 17)  # of 20 frames along the whole colon
+
+
+def recorded(scenario: vrcaps.Scenario) -> list[dict[str, np.ndarray]]:
+    """Arrays of the frames of a scenario, as it records them."""
+    with tempfile.TemporaryDirectory() as folder:
+        vrcaps.record(scenario, Path(folder) / "run")
+        episode = vrcaps.read_episode(Path(folder) / "run")
+        return [dict(episode[index]) for index in range(len(episode))]
 
 
 def view_row(model: vrcaps.Model, **settings: object) -> np.ndarray:

@@ -445,7 +445,7 @@ def test_our_published_weights_are_whole_and_have_cards():
 
 
 RESEARCH_ONLY = {"segmentation-bleeding"}
-"""Weights trained in images that are for research only."""
+"""Weights trained on images that are for research only."""
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in OURS.glob("*.md")))

@@ -13,7 +13,7 @@ import trimesh
 
 from tests.support.write_ply import write_ply
 from vrcaps.core.errors import InputError
-from vrcaps.mesh.mesh import Mesh, flip_faces, signed_volume
+from vrcaps.mesh.mesh import Mesh, distinct_rows, flip_faces, signed_volume
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.mesh.repair import Repair, RepairReport, manifold, repair, require_lumen_surface
 from vrcaps.organ.measure import triangle_quality
@@ -21,6 +21,15 @@ from vrcaps.organ.measure import triangle_quality
 RADIUS, LENGTH = 0.02, 0.15
 NUM_AROUND, NUM_ALONG = 36, 44
 RING_AREA = 0.5 * NUM_AROUND * np.sin(2 * np.pi / NUM_AROUND) * RADIUS**2
+
+
+def test_distinct_rows_are_those_of_numpy() -> None:
+    rows = np.random.default_rng(0).integers(-2, 2, (500, 3)).astype(float)
+    distinct, index = distinct_rows(rows)
+    known, known_index = np.unique(rows, axis=0, return_inverse=True)
+    np.testing.assert_array_equal(distinct, known)
+    np.testing.assert_array_equal(index, known_index.reshape(-1))
+    assert [len(part) for part in distinct_rows(np.empty((0, 3)))] == [0, 0]
 
 
 def tube(*, wave: float = 0.0) -> Mesh:

@@ -9,7 +9,7 @@
 //! and weights that make a half-space as bright as it is (see `render/medium.py`).
 
 use crate::pool::on_pool;
-use crate::simd::f32x64::Vec3;
+use crate::simd::f32x64::{Vec3, dot, sub};
 use numpy::{IntoPyArray, PyArray2, PyArray3, ndarray};
 use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -325,10 +325,10 @@ impl Medium {
 
 /// Irradiance of a surface that faces an LED, and the distance from it [m].
 fn irradiance(led: &[f32; 10], point: Vec3) -> (Vec3, f32) {
-    let way: Vec3 = std::array::from_fn(|k| point[k] - led[k]);
-    let square = way.iter().map(|x| x * x).sum::<f32>().max(1e-8);
+    let way = sub(point, [led[0], led[1], led[2]]);
+    let square = dot(way, way).max(1e-8);
     let length = square.sqrt();
-    let cosine = (way[0] * led[3] + way[1] * led[4] + way[2] * led[5]) / length;
+    let cosine = dot(way, [led[3], led[4], led[5]]) / length;
     let lobe = if led[9] == 0.0 { 1.0 } else { libm::powf(cosine.max(0.0), led[9]) };
     ([6, 7, 8].map(|k| led[k] * lobe / square), length)
 }
@@ -337,7 +337,7 @@ fn irradiance(led: &[f32; 10], point: Vec3) -> (Vec3, f32) {
 fn fractal(point: Vec3, seed: u32) -> f32 {
     let (mut sum, mut at, mut height) = (0.0, point, 1.0);
     for octave in 0..OCTAVES {
-        at = TURN.map(|row| row[0] * at[0] + row[1] * at[1] + row[2] * at[2]);
+        at = TURN.map(|row| dot(row, at));
         sum += height * gradient_noise(at, seed.wrapping_add(octave.wrapping_mul(0x632b_e5ab)));
         at = at.map(|x| 2.1 * x);
         height *= 0.6;
@@ -348,13 +348,12 @@ fn fractal(point: Vec3, seed: u32) -> f32 {
 /// Gradient noise: 0 at integer points, with gradients of components from −1 to 1 (Perlin 1985).
 fn gradient_noise(point: Vec3, seed: u32) -> f32 {
     let cell = point.map(f32::floor);
-    let offset: Vec3 = std::array::from_fn(|k| point[k] - cell[k]);
+    let offset = sub(point, cell);
     let t = offset.map(|x| x * x * (3.0 - 2.0 * x));
     let corner = cell.map(|x| x as i32);
     let at = |dx: i32, dy: i32, dz: i32| {
         let slope = gradient([corner[0] + dx, corner[1] + dy, corner[2] + dz], seed);
-        let from = [offset[0] - dx as f32, offset[1] - dy as f32, offset[2] - dz as f32];
-        slope[0] * from[0] + slope[1] * from[1] + slope[2] * from[2]
+        dot(slope, sub(offset, [dx as f32, dy as f32, dz as f32]))
     };
     let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
     let near = mix(mix(at(0, 0, 0), at(1, 0, 0), t[0]), mix(at(0, 1, 0), at(1, 1, 0), t[0]), t[1]);

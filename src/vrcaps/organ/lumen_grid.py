@@ -10,7 +10,7 @@ import scipy
 
 from vrcaps.core.errors import InputError, import_extra
 from vrcaps.core.geometry import triangle_areas, triangle_normals
-from vrcaps.mesh.mesh import find_edges
+from vrcaps.mesh.mesh import distinct_rows, find_edges
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -104,12 +104,11 @@ def close_ends(
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    vertices, inverse = _unique_rows(vertices)
+    vertices, inverse = distinct_rows(vertices)
     faces = inverse[faces]
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges = edges[edges[:, 0] != edges[:, 1]]
-    keys, count = np.unique(edges @ [len(vertices), 1], return_counts=True)
-    rim = np.column_stack(np.divmod(keys[count % 2 == 1], len(vertices)))
+    edges = find_edges(faces)
+    rim = np.sort(edges.ends[edges.order[edges.first[edges.counts % 2 == 1]]], axis=1)
+    rim = rim[rim[:, 0] != rim[:, 1]]
     if not len(rim):
         return vertices, faces
     n = len(vertices)
@@ -123,22 +122,6 @@ def close_ends(
     cones = np.column_stack([rim, n + which])
     assert len(loops) == len(middle)
     return np.concatenate([vertices, middle]), np.concatenate([faces, cones])
-
-
-def _unique_rows(
-    rows: Float[np.ndarray, "n 3"],
-) -> tuple[Float[np.ndarray, "k 3"], Int[np.ndarray, " n"]]:
-    """Distinct rows in lexicographic order, and the number of each row among them.
-
-    `np.unique` compares rows one after the other, which takes eight times as long.
-    """
-    order = np.lexsort(rows.T[::-1])
-    ordered = rows[order]
-    is_first = np.ones(len(rows), bool)
-    is_first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
-    inverse = np.empty(len(rows), np.int64)
-    inverse[order] = np.cumsum(is_first) - 1
-    return ordered[is_first], inverse
 
 
 def num_pieces(faces: Int[np.ndarray, "m 3"]) -> int:

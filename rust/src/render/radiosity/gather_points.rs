@@ -43,17 +43,22 @@ pub struct GatherPoints {
 impl GatherPoints {
     /// Chooses gather points on a wall at rest, apart by what is seen from there.
     pub fn choose(wall: &Wall) -> Self {
-        GatherPoints::apart(wall, &spacings(wall))
+        let order = in_hierarchy(wall);
+        GatherPoints::of_ordered(wall, &order, &spacings(wall, &order))
     }
 
     /// Chooses gather points on a wall at rest that are so far apart around each vertex [m], or as
     /// far as vertices are.
     pub fn apart(wall: &Wall, spacings: &[f32]) -> Self {
+        GatherPoints::of_ordered(wall, &in_hierarchy(wall), spacings)
+    }
+
+    /// Chooses gather points among vertices in the order of the hierarchy.
+    fn of_ordered(wall: &Wall, order: &[u32], spacings: &[f32]) -> Self {
         let widest = spacings.iter().fold(0.0, |a, &b| max(a, b));
         let mut grid = Grid::new(INTERPOLATION_RADIUS * widest);
         let (mut vertex, mut spacing): (Vec<u32>, Vec<f32>) = (Vec::new(), Vec::new());
-        let order = in_hierarchy(wall);
-        for &v in &order {
+        for &v in order {
             let (place, normal) = (wall.vertices[v as usize], wall.normals[v as usize]);
             let own = spacings[v as usize];
             let mut is_covered = false;
@@ -109,8 +114,7 @@ fn in_hierarchy(wall: &Wall) -> Vec<u32> {
 }
 
 /// Distance that gather points should have around each vertex [m].
-fn spacings(wall: &Wall) -> Vec<f32> {
-    let order = in_hierarchy(wall);
+fn spacings(wall: &Wall, order: &[u32]) -> Vec<f32> {
     let shared: Vec<f32> =
         order.par_chunks(GROUP).map(|group| SPACING * openness(wall, group)).collect();
     let mut sorted = shared.clone();

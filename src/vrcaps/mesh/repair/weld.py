@@ -10,6 +10,7 @@ import scipy
 
 from vrcaps.core.errors import InputError
 from vrcaps.mesh.mesh import (
+    distinct_rows,
     drop_unused_vertices,
     find_edges,
     keep_faces,
@@ -43,10 +44,10 @@ def merge_vertices(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
         unused = num_vertices - len(mesh.vertices)
         repairs.append(Repair("unused vertex", unused, "removed"))
     tolerance = _MERGE_TOLERANCE * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    unique, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    unique, index = distinct_rows(mesh.vertices)
     _require_apart(unique, tolerance)
     pairs = scipy.spatial.KDTree(unique).query_pairs(tolerance, output_type="ndarray")
-    group = _group(pairs, len(unique))[index.reshape(-1)]
+    group = _group(pairs, len(unique))[index]
     merged = _merge_groups(mesh, group)
     num_merged = len(mesh.vertices) - len(merged.vertices)
     if num_merged:

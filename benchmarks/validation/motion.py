@@ -37,13 +37,13 @@ from vrcaps.formats.shared.stored_images import read_rgb
 from vrcaps.formats.shared.text_files import read_yaml
 from vrcaps.learn.checkpoint import TrainedNetwork, read_weights
 from vrcaps.learn.evaluation import bootstrapped_errors
-from vrcaps.learn.motion_errors import motion_baselines, motion_errors
 from vrcaps.learn.motion_solver import STRIDE, Flow
 from vrcaps.learn.motion_steps import common_region
 from vrcaps.learn.picture_border import part_of
 from vrcaps.learn.samples import frame_groups
 from vrcaps.learn.tasks.sfm import SfmTask
 from vrcaps.metrics.bootstrap import bootstrap
+from vrcaps.metrics.trajectory import motion_baselines, motion_errors
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.tools.reconstruction.estimates import with_network_depth
 from vrcaps.tools.reconstruction.fusion.odometry import OdometrySettings, feature_views

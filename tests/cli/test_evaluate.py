@@ -51,6 +51,7 @@ def test_each_task_has_its_organ_its_time_and_its_actuation() -> None:
     [
         ("", "No policy is given"),
         ("centreline", "No policy named 'centreline'"),
+        ("nosuch", "Tasks on images: depth, segmentation, classification"),
         ("centerline --organs colom:0", "No organ named 'colom'"),
         ("centerline --organs no.glb", "no.glb"),
         ("centerline --task fly", "No task named 'fly'"),

@@ -18,7 +18,6 @@ from vrcaps.core.geometry import transform_from  # noqa: E402
 from vrcaps.learn.checkpoint import TrainedNetwork, write_weights  # noqa: E402
 from vrcaps.learn.evaluation import compared_sequences  # noqa: E402
 from vrcaps.learn.initialize import initialized_network  # noqa: E402
-from vrcaps.learn.motion_errors import aligned_rmse, motion_baselines, motion_errors  # noqa: E402
 from vrcaps.learn.networks import Backbone  # noqa: E402
 from vrcaps.learn.picture_border import Letterbox  # noqa: E402
 from vrcaps.learn.samples import batch_of, samples_of  # noqa: E402
@@ -26,7 +25,12 @@ from vrcaps.learn.tasks.classification import ClassificationTask  # noqa: E402
 from vrcaps.learn.tasks.depth import DepthTask  # noqa: E402
 from vrcaps.learn.tasks.sfm import SfmTask  # noqa: E402
 from vrcaps.learn.training import dead_features, require_alive  # noqa: E402
-from vrcaps.metrics.trajectory import absolute_trajectory_error  # noqa: E402
+from vrcaps.metrics.trajectory import (  # noqa: E402
+    absolute_trajectory_error,
+    aligned_rmse,
+    motion_baselines,
+    motion_errors,
+)
 
 
 def walk(count: int = 20, seed: int = 0) -> np.ndarray:

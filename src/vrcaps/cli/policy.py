@@ -11,7 +11,7 @@ from tyro.conf import Positional, UseAppendAction
 from vrcaps.cli.arguments import require_existing
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.parts import with_env_parts
-from vrcaps.core.errors import InputError, require_extra
+from vrcaps.core.errors import InputError, UnknownNameError, require_extra
 
 if TYPE_CHECKING:
     from vrcaps.env.settings import EnvSettings
@@ -43,9 +43,9 @@ class Coverage:
     out: Path
     """Output folder: new, empty, or of the same training, which is resumed."""
 
-    preset: Literal["default", "paper", "ci"] = "default"
-    """Preset of all other settings: the default, the paper's, or a smoke test that takes
-    seconds."""
+    preset: Literal["default", "device", "paper", "ci"] = "default"
+    """Preset of all other settings: the default, that of a device (magnet, gravity, observations of
+    its sensors), the paper's, or a smoke test that takes seconds."""
 
     organ: UseAppendAction[tuple[str, ...]] = ()
     """Organ to train in: a name with its seeds, such as stomach:0-15, or a mesh with its unit,
@@ -153,10 +153,10 @@ def _line(progress: Progress) -> str:
 class Evaluate:
     """Evaluate policies over many seeds and episodes, in parallel on all cores, with full physics.
 
-    A policy is a baseline (random, centerline, look-around, next-best-view, navigator), a trained
-    policy's file, or an import path package.module:Class. The output folder contains, for each
-    policy and capsule, episodes.csv (one row per episode), curves.parquet (coverage, force and pose
-    over time) and median.mp4 (a video of the median run); and for all of them index.html with
+    A policy is a baseline (random, centerline, look-around, next-best-view, explorer, navigator), a
+    trained policy's file, or an import path package.module:Class. The output folder contains, for
+    each policy and capsule, episodes.csv (one row per episode), curves.parquet (coverage, force and
+    pose over time) and median.mp4 (a video of the median run); and for all of them index.html with
     summary.png and summary.csv. To resume an interrupted evaluation, repeat the command.
 
     To evaluate predictions from images instead, name their task first, such as vrcaps evaluate
@@ -236,7 +236,6 @@ class Evaluate:
 
     def _evaluate(self) -> list[Subject]:
         """Run all episodes of all policies with all capsules; errors are raised before any run."""
-        from vrcaps.policy.catalog import read_policy
         from vrcaps.policy.evaluate import Plan, evaluate
         from vrcaps.policy.evaluation import Evaluation
         from vrcaps.tools.reports.evaluation import Subject
@@ -245,7 +244,7 @@ class Evaluate:
         planned: list[tuple[Policy, EnvSettings, str]] = []
         for name in self.policies:
             for capsule in self.capsules or ("",):
-                policy = read_policy(name)
+                policy = _policy_of(name)
                 settings = self._settings(policy, capsule)
                 policy.requires.check(settings, name)
                 label = " ".join(filter(None, [_short(name), capsule and _short(capsule)]))
@@ -305,6 +304,21 @@ class Evaluate:
             "version": __version__,
             "environment": plain_environment(settings),
         }
+
+
+def _policy_of(name: str) -> Policy:
+    """Create a policy by name; the error lists the tasks on images, which are allowed instead.
+
+    Raises:
+        InputError: If there is none.
+    """
+    from vrcaps.learn.registry import TASKS
+    from vrcaps.policy.catalog import read_policy
+
+    try:
+        return read_policy(name)
+    except UnknownNameError as error:
+        raise InputError(f"{error} Tasks on images: {', '.join(TASKS)}.") from error
 
 
 def _short(name: str) -> str:

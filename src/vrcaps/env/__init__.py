@@ -19,6 +19,7 @@ from vrcaps.env.actuation import MagnetActuation as MagnetActuation
 from vrcaps.env.actuation import Wrench as Wrench
 from vrcaps.env.env import CapsuleEnv as CapsuleEnv
 from vrcaps.env.env import register as _register
+from vrcaps.env.exploration import ExplorationObservation as ExplorationObservation
 from vrcaps.env.landmarks import LandmarksObservation as LandmarksObservation
 from vrcaps.env.observations import ImageObservation as ImageObservation
 from vrcaps.env.observations import MapObservation as MapObservation

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.actuation.arm.arm import Arm, arm_of, read_arm
+from vrcaps.actuation.arm.arm import Arm, arm_of, forward, jacobian, read_arm
 from vrcaps.actuation.arm.arm_with_payload import (
     ArmWithPayload,
     clearances,
@@ -170,6 +170,13 @@ class MagnetActuation(Actuation):
         return [Control(Ts_world_magnet=pose[None]) for pose in moved]
 
 
+_REACH = 1.0
+"""Positions of an arm's magnet are searched up to this distance along each axis [m]."""
+
+_LEVER, _DAMPING, _CENTERING = 0.1, 0.02, 0.1
+"""Weight of a rotation of the magnet against its motion [m], damping [m], and the rate at which
+spare joints move to the middle of their ranges [1/s], of `ArmActuation.towards`."""
+
 _LIMIT_NAMES = np.array(["", "joint", "collision"], object)
 """Limits that may have modified the arm's motion, by the value of `arm/limit`."""
 
@@ -228,6 +235,16 @@ class ArmActuation(Actuation):
         velocity = np.array([joint.velocity for joint in arm.joints])
         return arm.lower, arm.upper, self.fraction * velocity
 
+    @property
+    def box(self) -> Float[np.ndarray, "2 3"]:
+        """Minimum and maximum positions of the magnet, relative to the arm's base [m].
+
+        The magnet's edge stays above the plane of the patient for any orientation.
+        """
+        edge = 0.5 * math.hypot(*self._robot.magnet.bounds)
+        low = BASE_BELOW + self.standoff + edge
+        return np.array([[-_REACH, -_REACH, low], [_REACH, _REACH, low + _REACH]])
+
     def space(self) -> Any:
         """Action space: a value from −1 to 1 for each joint."""
         from gymnasium import spaces
@@ -283,6 +300,39 @@ class ArmActuation(Actuation):
         poses[:, :3, 3] += memory["arm/base"][indices]
         memory["magnet/T"][indices] = poses
         return [Control(Ts_world_magnet=pose[None]) for pose in poses]
+
+    def towards(
+        self,
+        angles: Float[np.ndarray, " j"],
+        T_base_magnet: Float[np.ndarray, "4 4"],
+        dt: float,
+    ) -> Float[np.ndarray, " j"]:
+        """Return the action that moves the magnet towards a pose, for any rotation about its axis.
+
+        Damped least squares (Wampler, IEEE Trans. Syst. Man Cybern. 16, 1986) over position and
+        moment; the joints left over move towards the middle of their ranges.
+
+        Args:
+            angles: Current joint angles [rad].
+            T_base_magnet: Target pose in the frame of the arm's base.
+            dt: Control period [s].
+        """
+        robot, (lower, upper, velocity) = self._robot, self._ranges
+        now = magnet_pose_at(robot, angles)
+        rows = jacobian(robot.arm, angles)
+        lever = now[:3, 3] - forward(robot.arm, angles)[:3, 3]
+        linear = rows[:3] + np.cross(rows[3:], lever, axis=0)
+        across, axis, goal = now[:3, :2].T, now[:3, 2], T_base_magnet[:3, 2]
+        turn = np.cross(axis, goal)
+        sine = float(np.linalg.norm(turn))
+        turn *= math.atan2(sine, float(axis @ goal)) / max(sine, 1e-9)
+        rows = np.concatenate([linear, _LEVER * across @ rows[3:]])
+        error = np.concatenate([T_base_magnet[:3, 3] - now[:3, 3], _LEVER * across @ turn])
+        inverse = rows.T @ np.linalg.inv(rows @ rows.T + _DAMPING**2 * np.eye(5))
+        spare = np.eye(len(angles)) - inverse @ rows
+        wanted = inverse @ error + spare @ (_CENTERING * dt * (0.5 * (lower + upper) - angles))
+        shares = wanted / (dt * velocity)
+        return shares / max(1.0, float(np.abs(shares).max()))
 
     def measures(self, view: EnvView) -> dict[str, np.ndarray]:
         """Return the limit that modified each arm's motion."""

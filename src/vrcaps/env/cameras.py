@@ -13,6 +13,7 @@ from vrcaps.camera.derive import scaled_lens
 from vrcaps.camera_pipeline.effect.base import CameraEffect
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, PipelineState
+from vrcaps.core.rng import stream
 from vrcaps.env.randomization import Randomization
 from vrcaps.env.worlds import EnvWorlds, Memory
 from vrcaps.motion.motion import Step
@@ -24,6 +25,9 @@ from vrcaps.world.model import State
 
 if TYPE_CHECKING:
     from vrcaps import _core
+
+DISTANCES = ("depth", "ray_distance")
+"""Channels that are distances: they need no appearance and may have noise."""
 
 
 @dataclass(frozen=True)
@@ -226,3 +230,10 @@ def resized_camera(camera: Camera, height: int, width: int) -> Camera:
         height=height,
         image_circle_px=None if circle is None else circle * scale,
     )
+
+
+def distance_noise(distances: np.ndarray, noise: float, seed: int, time: float) -> np.ndarray:
+    """Distances with the noise of `ImageObservation`, which depends on seed and time [s] alone."""
+    draw = stream(seed, "observation/noise", round(time * 1e6))
+    scale, pixels = draw.normal(), draw.normal(size=distances.shape)
+    return distances * np.exp(noise * (scale + pixels))

@@ -10,7 +10,7 @@ import numpy as np
 from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import UnknownNameError, require
 from vrcaps.core.units import CM, MM
-from vrcaps.env.cameras import View
+from vrcaps.env.cameras import DISTANCES, View, distance_noise
 from vrcaps.env.parts import EnvView, Observation
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.settings import RenderSettings
@@ -77,7 +77,7 @@ class StateObservation(Observation):
         """
         view.memory.allocate("state/center", (3,))
         if self.pose == "located":
-            view.objects[_LOCATED] = LocatedCapsules(view, self.sensors)
+            located_capsules(view, self.sensors, self.kind)
 
     def begin(self, view: EnvView, index: int, rng: np.random.Generator) -> None:
         """Compute the center of the organ."""
@@ -85,7 +85,7 @@ class StateObservation(Observation):
         center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         view.memory["state/center"][index] = center
         if self.pose == "located":
-            view.objects[_LOCATED].begin(index, rng)
+            view.objects[_LOCATED].begin(index, rng, self.kind)
 
     def observe(self, view: EnvView) -> Float[np.ndarray, "n k"]:
         """Return the values of all worlds."""
@@ -127,14 +127,19 @@ class LocatedCapsules:
         contact_force_world: Forces of the wall on the capsules' sides [N].
     """
 
-    def __init__(self, view: EnvView, sensors: TrackingSensors) -> None:
+    def __init__(self, view: EnvView, sensors: TrackingSensors, owner: str) -> None:
         """Allocate buffers.
+
+        Args:
+            view: The worlds.
+            sensors: Sensors of the capsules.
+            owner: Kind of the observation that starts the localization.
 
         Raises:
             InputError: If the capsule does not contain exactly one magnet for localization.
         """
         check_locatable(view.device)
-        self._view, self._sensors = view, sensors
+        self._view, self._sensors, self._owner = view, sensors, owner
         memory = view.memory
         self._seed = memory.allocate("located/seed", dtype=np.int64)
         self._saved = memory.allocate("located/filter", (CapsuleTracker.size,))
@@ -143,8 +148,10 @@ class LocatedCapsules:
         self.contact_force_world = memory.allocate("located/force", (3,))
         self._trackers: dict[int, tuple[tuple[int, int], CapsuleTracker]] = {}
 
-    def begin(self, index: int, rng: np.random.Generator) -> None:
+    def begin(self, index: int, rng: np.random.Generator, owner: str) -> None:
         """Start the localization of the capsule of one world, near its true pose."""
+        if owner != self._owner:
+            return
         self._seed[index] = rng.integers(2**31)
         self._trackers.pop(index, None)
         self._saved[index] = self._tracker(index).to_array()
@@ -171,6 +178,13 @@ class LocatedCapsules:
             tracker = CapsuleTracker(model, self._sensors, T, period=period, seed=key[0])
             current = self._trackers[index] = (key, tracker)
         return current[1]
+
+
+def located_capsules(view: EnvView, sensors: TrackingSensors, owner: str) -> LocatedCapsules:
+    """Return the localization that observations share; the first that asks creates it."""
+    if _LOCATED not in view.objects:
+        view.objects[_LOCATED] = LocatedCapsules(view, sensors, owner)
+    return view.objects[_LOCATED]
 
 
 LIMITS: dict[str, tuple[float, float]] = {
@@ -205,6 +219,9 @@ class ImageObservation(Observation):
         size: Height and width [px]. The camera's image is scaled to cover this size, then cropped.
         render: Render settings.
         key: Name of the observation; None for the channel's.
+        noise: Error of a depth or distance, as that of an estimate from color: logarithm of a
+            factor of the whole image, and of a factor of each pixel, each normal with this standard
+            deviation.
     """
 
     channel: str = "rgb"
@@ -212,9 +229,9 @@ class ImageObservation(Observation):
     size: tuple[int, int] = (64, 64)
     render: RenderSettings = field(default_factory=lambda: RenderSettings(light="direct"))
     key: str | None = None
+    noise: Annotated[float, Range(min=0.0, max=1.0)] = 0.0
 
     kind: ClassVar[str] = "image"
-    needs_textures: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if self.channel not in LIMITS:
@@ -223,6 +240,14 @@ class ImageObservation(Observation):
         is_size = len(size) == 2 and all(isinstance(n, int) and 8 <= n <= 4096 for n in size)
         require(is_size, "size", self.size, "height and width, 8 to 4096 pixels each")
         object.__setattr__(self, "size", size)
+        check_fields(self)
+        is_distance = self.channel in DISTANCES or not self.noise
+        require(is_distance, "noise", f"{self.noise:g} of {self.channel}", f"0, or {DISTANCES}")
+
+    @property
+    def needs_textures(self) -> bool:
+        """Whether the wall needs its appearance: for all channels but distances."""
+        return self.channel not in DISTANCES
 
     @property
     def name(self) -> str:
@@ -249,13 +274,24 @@ class ImageObservation(Observation):
         return tuple(f"{stem} [{unit}]" for stem in stems)
 
     def allocate(self, view: EnvView) -> None:
-        """Allocate the images."""
+        """Allocate the images, and the seed of the noise."""
         view.cameras.request(self.view, self.channel)
+        if self.noise:
+            view.memory.allocate(f"image/{self.name}/seed", dtype=np.int64)
+
+    def begin(self, view: EnvView, index: int, rng: np.random.Generator) -> None:
+        """Draw the seed of the noise."""
+        if self.noise:
+            view.memory[f"image/{self.name}/seed"][index] = rng.integers(2**31)
 
     def observe(self, view: EnvView) -> np.ndarray:
         """Return the images of all worlds [n h w c]."""
         images = view.cameras.images(self.view, self.channel)
         images = images.copy() if images.ndim == 4 else images[..., None].copy()
+        for index in range(view.num_worlds if self.noise else 0):
+            seed = int(view.memory[f"image/{self.name}/seed"][index])
+            time = float(view.time[index])
+            images[index] = distance_noise(images[index], self.noise, seed, time)
         if images.dtype.kind == "f":
             np.clip(np.nan_to_num(images, copy=False), *LIMITS[self.channel], out=images)
         return images

@@ -197,8 +197,11 @@ class Observation:
     """One key of an agent's observation."""
 
     kind: ClassVar[str]
-    needs_textures: ClassVar[bool] = False
-    """Whether it renders the wall."""
+
+    @property
+    def needs_textures(self) -> bool:
+        """Whether it renders the appearance of the wall; by default not."""
+        return False
 
     @property
     def name(self) -> str:
@@ -299,6 +302,10 @@ OBSERVATIONS: Registry[Observation] = Registry(
         "landmarks": (
             "vrcaps.env.landmarks:LandmarksObservation",
             "navigation features",
+        ),
+        "exploration": (
+            "vrcaps.env.exploration:ExplorationObservation",
+            "unknown space in the capsule's own map",
         ),
         "map": ("vrcaps.env.observations:MapObservation", "map of the seen wall"),
         "image": ("vrcaps.env.observations:ImageObservation", "image of a camera"),

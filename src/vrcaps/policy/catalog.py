@@ -20,6 +20,10 @@ BASELINES: Registry[Policy] = Registry(
             "vrcaps.policy.next_best_view:NextBestViewPolicy",
             "to the view with the most unseen wall per time",
         ),
+        "explorer": (
+            "vrcaps.policy.explorer:ExplorerPolicy",
+            "by a magnet or arm to unknown space of its map",
+        ),
         "navigator": ("vrcaps.policy.navigator:NavigatorPolicy", "by a magnet to a goal"),
     },
 )

@@ -15,6 +15,7 @@ in each hop.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,8 +35,10 @@ from vrcaps.world.control import GRAVITY
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+    from vrcaps.capsule.device import Device
     from vrcaps.env.parts import EnvView
     from vrcaps.env.vector_env import CapsuleVectorEnv
+    from vrcaps.magnet.sources import Magnet
 
 _SPEED = 2.0 * CM
 """Speed v* along the path [m/s]."""
@@ -117,18 +120,15 @@ class Guide:
             view: EnvView at the start of an episode.
             index: Index of the world.
         """
-        model, memory = view.patient(index).model, view.memory
-        self._actuation = _magnet_of(view)
-        magnet = read_magnet(self._actuation.magnet)
-        low, high = memory["magnet/box"][index].tolist()
-        workspace = Workspace(tuple(low), tuple(high), 0.5 * magnet.bounds[0] + 3.0 * CM)
-        self._solver = MagnetPoseSolver(SourceSet([magnet]), model.device.magnets, workspace)
-        self._index, self._weight = index, model.device.mass * GRAVITY
+        self._actuation, T = _magnet_of(view), view.T_world_capsule[index]
+        device, box = view.patient(index).model.device, view.memory["magnet/box"][index]
+        self._controller = ForceController(
+            device, read_magnet(self._actuation.magnet), box, T[:3, :3]
+        )
+        self._index = index
         self.path, self.arc_length = _path(view, index), 0.0
-        T = view.T_world_capsule[index]
         self._position, self._velocity = T[:3, 3].copy(), np.zeros(3)
-        self._heading = T[:3, :3].copy()
-        self._integral, self._force = 0.0, np.array([0.0, 0.0, self._weight - _REST])
+        self._integral = 0.0
         self._best, self._since, self._hops = 0.0, 0.0, 0
 
     def twist(self, view: EnvView) -> Float[np.ndarray, " 6"]:
@@ -142,11 +142,10 @@ class Guide:
         way = unit(ahead - self._position)
         pull, lift, pitch = self._pull(way, dt, float(view.time[self._index]))
         sink = min(_HEIGHT_GAIN * max(self._position[2] - here[2] - _HEIGHT, 0.0), _SINK)
-        wanted = pull * way + np.array([0.0, 0.0, self._weight + lift - sink])
-        self._force = self._force + clamp_norm(wanted - self._force, _FORCE_RATE * dt)
-        T_led = T.copy()
-        T_led[:3, :3] = self._led(T[:3, :3], unit(way + np.array([0.0, 0.0, pitch])), dt)
-        return self._towards(view, T_led, dt)
+        force = pull * way + np.array([0.0, 0.0, lift - sink])
+        heading, now = unit(way + np.array([0.0, 0.0, pitch])), view.memory["magnet/T"][self._index]
+        wanted = self._controller.magnet_pose(T, now, force, heading, dt)
+        return magnet_action(self._actuation, now, wanted, dt)
 
     def _path_points(
         self, position: Float[np.ndarray, " 3"]
@@ -177,24 +176,98 @@ class Guide:
         lift = min(self._hops, _HIGHEST_HOP) * _HOP_LIFT
         return -_HOP_PULL if is_backward else _HOP_PULL, lift, _HOP_PITCH
 
+
+class ForceController:
+    """Poses of a magnet that exert a force on a capsule and turn its front to a heading.
+
+    Force and heading change at limited rates, so that the magnet can follow.
+
+    Attributes:
+        weight: Weight of the capsule [N].
+        unlimited_decrease: Fraction of a decrease of the upward force that is not limited in rate.
+        max_lead_angle: Maximum angle between the heading and the capsule's front [rad].
+    """
+
+    unlimited_decrease = 0.0
+    max_lead_angle = _LEAD
+
+    def __init__(
+        self,
+        device: Device,
+        magnet: Magnet,
+        box: Float[np.ndarray, "2 3"],
+        R_world_capsule: Float[np.ndarray, "3 3"],
+    ) -> None:
+        """Start with the magnet above the capsule, which rests on the wall.
+
+        Args:
+            device: The capsule.
+            magnet: The external magnet; its pose is ignored.
+            box: Minimum and maximum positions of its center [m].
+            R_world_capsule: Rotation of the capsule.
+        """
+        low, high = box.tolist()
+        workspace = Workspace(tuple(low), tuple(high), 0.5 * magnet.bounds[0] + 3.0 * CM)
+        self._solver = MagnetPoseSolver(SourceSet([magnet]), device.magnets, workspace)
+        self._magnet, self._inside = magnet, device.magnets
+        self.weight = device.mass * GRAVITY
+        self._heading = R_world_capsule.copy()
+        self._force = np.array([0.0, 0.0, self.weight - _REST])
+
+    def magnet_pose(
+        self,
+        T_world_capsule: Float[np.ndarray, "4 4"],
+        T_world_magnet: Float[np.ndarray, "4 4"],
+        force: Float[np.ndarray, " 3"],
+        heading: Float[np.ndarray, " 3"],
+        dt: float,
+    ) -> Float[np.ndarray, "4 4"]:
+        """Pose of the magnet at the end of a control period.
+
+        Args:
+            T_world_capsule: Pose of the capsule.
+            T_world_magnet: Pose of the magnet.
+            force: Force in addition to the support of the capsule's weight [N].
+            heading: Direction to which its front turns.
+            dt: Control period [s].
+        """
+        wanted = force + np.array([0.0, 0.0, self.weight])
+        if wanted[2] < self._force[2]:  # a capsule that rises is released at once
+            self._force[2] += self.unlimited_decrease * (wanted[2] - self._force[2])
+        self._force = self._force + clamp_norm(wanted - self._force, _FORCE_RATE * dt)
+        T_led = T_world_capsule.copy()
+        T_led[:3, :3] = self._led(T_world_capsule[:3, :3], heading, dt)
+        target = WrenchTarget(self._force.tolist(), motion_weight=_MOTION_WEIGHT)
+        solution = self._solver.solve(target, T_led, T_world_magnet, max_iterations=_ITERATIONS)
+        return solution.T_world_magnet
+
+    def force_error(
+        self, T_world_capsule: Float[np.ndarray, "4 4"], T_world_magnet: Float[np.ndarray, "4 4"]
+    ) -> float:
+        """Maximum difference between the force of a magnet and the wanted one [N].
+
+        Of the capsule as it lies, and of one that has turned into the magnet's field.
+        """
+        sources = SourceSet([replace(self._magnet, T_world_magnet=T_world_magnet)])
+        aligned = T_world_capsule.copy()
+        moment = T_world_capsule[:3, :3] @ self._solver.moment
+        flux = sources.field(T_world_capsule[None, :3, 3])[0][0]
+        turn = np.cross(moment, flux)
+        sine, cosine = float(np.linalg.norm(turn)), float(moment @ flux)
+        angle = np.arctan2(sine, cosine) / max(sine, 1e-12)
+        aligned[:3, :3] = rotation_from_vector(angle * turn) @ aligned[:3, :3]
+        forces, _ = sources.wrench(self._inside, np.stack([T_world_capsule, aligned]))
+        return float(np.linalg.norm(forces - self._force, axis=1).max())
+
     def _led(
         self, R_world_capsule: Float[np.ndarray, "3 3"], heading: Float[np.ndarray, " 3"], dt: float
     ) -> Float[np.ndarray, "3 3"]:
         """Rotation of the capsule, turned from the previous reference towards a heading."""
         turn = clamp_norm(heading_error(self._heading[None], heading[None])[0], _TURN_RATE * dt)
         led = rotation_from_vector(turn) @ self._heading[:, 2]
-        lead = clamp_norm(heading_error(R_world_capsule[None], led[None])[0], _LEAD)
+        lead = clamp_norm(heading_error(R_world_capsule[None], led[None])[0], self.max_lead_angle)
         self._heading = rotation_from_vector(lead) @ R_world_capsule
         return self._heading
-
-    def _towards(
-        self, view: EnvView, T_world_capsule: Float[np.ndarray, "4 4"], dt: float
-    ) -> Float[np.ndarray, " 6"]:
-        """Action that moves the magnet towards where it exerts the force on a capsule at a pose."""
-        now = view.memory["magnet/T"][self._index]
-        target = WrenchTarget(self._force.tolist(), motion_weight=_MOTION_WEIGHT)
-        solution = self._solver.solve(target, T_world_capsule, now, max_iterations=_ITERATIONS)
-        return magnet_action(self._actuation, now, solution.T_world_magnet, dt)
 
 
 def _path(view: EnvView, index: int) -> WallPath:

@@ -8,7 +8,7 @@ consists of the policy, its optimizer and the normalizer, from which a run resum
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,11 +18,14 @@ from vrcaps.config.fields import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.errors import MissingExtraError, import_extra, require
 from vrcaps.env.settings import EnvSettings
+from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.policy.mlp_policy import MlpPolicy, Normalizer, kept_settings
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO
     from stable_baselines3.common.running_mean_std import RunningMeanStd
+
+    from vrcaps.policy.policy import Policy
 
 _COUNT = Range(min=1)
 _SHARE = Range(min=0.0, max=1.0)
@@ -49,6 +52,9 @@ class PpoSettings:
         is_normalized: Whether observations and rewards are normalized by their running statistics.
         evaluate_every: Rounds between evaluations; 0 for none.
         evaluation_episodes: Number of episodes of an evaluation, always the same ones.
+        teacher: Policy without training that is imitated before the first round, see `imitate`;
+            empty for none.
+        teacher_rounds: Number of rounds of its demonstrations.
     """
 
     num_envs: Annotated[int, _COUNT] = 32
@@ -67,6 +73,8 @@ class PpoSettings:
     is_normalized: bool = True
     evaluate_every: Annotated[int, Range(min=0)] = 5
     evaluation_episodes: Annotated[int, _COUNT] = 8
+    teacher: str = ""
+    teacher_rounds: Annotated[int, _COUNT] = 3
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -205,6 +213,90 @@ class Ppo:
         if not self.settings.is_normalized:
             return []
         return [("observations", self.envs.obs_rms), ("rewards", self.envs.ret_rms)]  # type: ignore[list-item]
+
+
+_IMITATION_EPOCHS, _IMITATION_RATE = 30, 1e-3
+
+
+def imitate(learner: Ppo, teacher: Policy) -> dict[str, float]:
+    """Fit a learner's policy to the actions of a teacher by least squares.
+
+    Aggregates data (DAgger: Ross, Gordon, Bagnell, AISTATS 2011): in the first round the teacher
+    acts in an episode of every world, in later ones the learner does. The teacher's actions are the
+    targets for all observations so far. The teacher's own observations are added to the worlds.
+
+    Args:
+        learner: Untrained learner with continuous actions.
+        teacher: Policy to imitate.
+
+    Returns:
+        Mean square of the actions' error, and the mean square of the actions, after the last round.
+
+    Raises:
+        InputError: If the teacher does not fit the actuation or the learner's observations.
+    """
+    env, s = learner.env_settings, learner.settings
+    own = {observation.name: observation for observation in env.observations}
+    wanted = teacher.requires.settings.get("observations", ())
+    others = tuple(o for o in wanted if o.name not in own)
+    envs = CapsuleVectorEnv(replace(env, observations=(*env.observations, *others)), s.num_envs)
+    teacher.requires.check(envs.settings, s.teacher)
+    data: list[tuple[np.ndarray, np.ndarray]] = []
+    errors = {}
+    for index in range(s.teacher_rounds):
+        seeds = [_seed(learner.seed, f"teacher/{index}", k) for k in range(s.num_envs)]
+        data += _demonstrations(learner, teacher, envs, seeds, is_led=index == 0)
+        errors = _fit(learner, *(np.concatenate(part) for part in zip(*data, strict=True)))
+    envs.close()
+    return errors
+
+
+def _demonstrations(
+    learner: Ppo, teacher: Policy, envs: CapsuleVectorEnv, seeds: list[int], *, is_led: bool
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Observations and the teacher's actions of an episode of every world."""
+    from vrcaps.env.sb3 import flat_observations
+
+    observations, _ = envs.reset(seed=seeds)
+    teacher.reset(np.arange(envs.num_envs), seeds)
+    policy, rows = learner.policy(), []
+    over = np.zeros(envs.num_envs, bool)
+    for _ in range(learner.steps * learner.settings.updates):
+        wanted = teacher.act(observations, envs)
+        own = {o.name: observations[o.name] for o in learner.env_settings.observations}
+        flat = flat_observations(own, envs.num_envs)
+        rows.append((flat[~over], wanted[~over]))
+        acted = wanted if is_led else policy.act(observations, envs)
+        observations, _, terminated, truncated, _ = envs.step(acted)
+        if over.any():  # these worlds have started an episode in this step
+            started = np.flatnonzero(over)
+            teacher.reset(started, [seeds[k] + 1 for k in started])
+        over = terminated | truncated
+    return rows
+
+
+def _fit(learner: Ppo, inputs: np.ndarray, targets: np.ndarray) -> dict[str, float]:
+    """Fit the policy's mean to targets; returns mean squares of error and target."""
+    import torch
+
+    net: Any = learner.model.policy
+    if learner.settings.is_normalized:
+        rms: Any = learner.envs.obs_rms
+        rms.mean, rms.var = inputs.mean(axis=0), inputs.var(axis=0)
+        rms.count = float(len(inputs))
+        inputs = np.asarray(learner.envs.normalize_obs(inputs))
+    x, y = torch.from_numpy(inputs.astype(np.float32)), torch.from_numpy(targets)
+    chain = torch.nn.Sequential(net.mlp_extractor.policy_net, net.action_net)
+    optimizer = torch.optim.Adam(chain.parameters(), _IMITATION_RATE)
+    batch = min(learner.settings.batch, 512)
+    for _ in range(_IMITATION_EPOCHS):
+        for some in torch.randperm(len(x)).split(batch):
+            optimizer.zero_grad()
+            torch.nn.functional.mse_loss(chain(x[some]), y[some]).backward()
+            optimizer.step()
+    with torch.no_grad():
+        error = float(torch.nn.functional.mse_loss(chain(x), y))
+    return {"imitation_error": error, "imitation_scale": float((y**2).mean())}
 
 
 _SPREAD = ("mean", "var", "count")

@@ -17,17 +17,19 @@ from vrcaps.config.fields import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import file_sha256, read_arrays, write_arrays, write_csv
-from vrcaps.env.actuation import Wrench
+from vrcaps.env.actuation import MagnetActuation, Wrench
+from vrcaps.env.exploration import ExplorationObservation
 from vrcaps.env.landmarks import LandmarksObservation
 from vrcaps.env.observations import StateObservation
 from vrcaps.env.patients import check_names
 from vrcaps.env.randomization import Start
-from vrcaps.env.rewards import LogGain, PaperGain
+from vrcaps.env.rewards import ForcePenalty, LogGain, PaperGain
 from vrcaps.env.settings import EnvSettings, plain_environment
 from vrcaps.env.tasks import CoverageTask
 from vrcaps.env.vector_env import CapsuleVectorEnv
+from vrcaps.policy.catalog import read_policy
 from vrcaps.policy.mlp_policy import read_mlp_policy, write_mlp_policy
-from vrcaps.policy.ppo import Ppo, PpoSettings, require_learner
+from vrcaps.policy.ppo import Ppo, PpoSettings, imitate, require_learner
 from vrcaps.training import PROGRESS, Progress, begin_training, exact_torch, restoring, run_training
 
 if TYPE_CHECKING:
@@ -123,6 +125,19 @@ class _Run:
         self.settings, self.out, self.learner = settings, out, learner
         self.score = Score(settings.env, settings.learner.evaluation_episodes, settings.seed)
         self.progress = _read_checkpoint(out, learner)
+        self._imitation: dict[str, float] = {}
+        if self.progress.step == 0 and settings.learner.teacher:
+            self._imitate()
+
+    def _imitate(self) -> None:
+        """Imitate the teacher; the result is the best policy until a round surpasses it."""
+        teacher = read_policy(self.settings.learner.teacher)
+        self._imitation = imitate(self.learner, teacher)
+        policy = self.learner.policy()
+        scores = self.score(policy)
+        self._imitation |= {f"imitation_{name}": value for name, value in scores.items()}
+        self._write_policy(BEST, policy, 0)
+        self.progress = replace(self.progress, best=scores["reward"])
 
     def advance(self) -> None:
         """Run one round, the evaluation that is due after it, and write the checkpoint."""
@@ -130,7 +145,8 @@ class _Run:
         index, start = progress.step, time.perf_counter()
         done = index + 1
         row = {"round": float(done), "actions": float(done) * learner.actions_per_round}
-        row |= learner.run_round(index)
+        row |= self._imitation | learner.run_round(index)
+        self._imitation = dict.fromkeys(self._imitation, np.nan)
         policy, best, every = learner.policy(), progress.best, settings.learner.evaluate_every
         is_last = done == progress.total
         if every and (done % every == 0 or is_last):
@@ -338,5 +354,28 @@ def ci() -> TrainingSettings:
     return TrainingSettings(env, learner)
 
 
-PRESETS = {"default": default, "paper": paper, "ci": ci}
+def device() -> TrainingSettings:
+    """Preset with the observations of a device, a magnet and gravity.
+
+    The explorer is imitated first. The reward measures the true coverage, which only the training
+    knows.
+    """
+    env = EnvSettings(
+        task=CoverageTask(target=1.0),
+        rewards=(LogGain(), ForcePenalty(0.02)),
+        actuation=MagnetActuation(),
+        observations=(StateObservation(pose="located"), ExplorationObservation()),
+        organs=("stomach:0-15",),
+        dynamics="physics",
+        substep=1e-3,
+        control_period=0.1,
+        stuck_time=60.0,
+    )
+    learner = PpoSettings(
+        num_envs=16, num_actions=300_000, entropy=0.0, initial_std=0.2, teacher="explorer"
+    )
+    return TrainingSettings(env, learner)
+
+
+PRESETS = {"default": default, "device": device, "paper": paper, "ci": ci}
 """Presets of the task `coverage` by name."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 
 from vrcaps.camera_pipeline.effect.base import CameraSetup, FrameContext, ImageEffect, Stage
-from vrcaps.camera_pipeline.effect.dome_geometry import (
+from vrcaps.camera_pipeline.effect.optics import (
     DOME_NAMES,
     disk_points,
     dome_lens,

@@ -46,7 +46,6 @@ from vrcaps.learn.losses import (
     smoothness,
     synthesize_view,
 )
-from vrcaps.learn.motion_errors import motion_baselines, motion_errors
 from vrcaps.learn.motion_network import MotionNetwork
 from vrcaps.learn.motion_solver import motion_from_flow
 from vrcaps.learn.motion_steps import Encoded, Region, common_region, step_between
@@ -75,6 +74,7 @@ from vrcaps.learn.tasks.depth import (
     depth_terms,
     image_and_rays,
 )
+from vrcaps.metrics.trajectory import motion_baselines, motion_errors
 from vrcaps.recording.frame_sequence import CAMERA_POSE, TIME, FrameSequence
 from vrcaps.render.channels import CHANNELS
 

@@ -115,7 +115,7 @@ pub fn render_bands<T: TileRenderer + Sync>(
 }
 
 /// Strip of tiles that are traced together, and a row in it.
-type StripRow<'a, S> = (&'a Strip<S>, usize);
+type StripRow<'a, S> = (&'a Strip<'a, S>, usize);
 
 /// Position of a band of tiles in the image.
 #[derive(Clone, Copy)]

@@ -142,7 +142,7 @@ impl TileRenderer for LumenTiles<'_> {
                 view.split_subsurface(wall.scene, &surface, hits, &triangles);
             let lit = (without_base.as_ref().unwrap_or(&surface), subsurface.as_ref());
             let mut fractions = std::mem::take(&mut scratch.fractions);
-            let is_known = given.fractions(&found.normal, tile, &mut fractions);
+            let is_known = given.fractions([&found.normal, &surface.normal], tile, &mut fractions);
             let visible = is_known.then_some(&fractions[..]);
             let mut radiance = self.light(lit, (found, hits), wet.as_ref(), visible, scratch);
             scratch.fractions = fractions;

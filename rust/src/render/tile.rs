@@ -27,10 +27,10 @@ pub struct Scratch {
 }
 
 impl TileLight<'_> {
-    /// Writes the visible fraction of each LED in the pixels of a tile with unit `normals`, if its
-    /// visibility is known.
+    /// Writes the visible fraction of each LED in the pixels of a tile with unit normals, of the wall
+    /// and with relief, if its visibility is known.
     #[inline(always)]
-    pub fn fractions(&self, normals: &Lane3, tile: &TileRays, out: &mut Vec<Lane>) -> bool {
+    pub fn fractions(&self, normals: [&Lane3; 2], tile: &TileRays, out: &mut Vec<Lane>) -> bool {
         let Some((visibility, place)) = self.visibility else { return false };
         visibility.fractions(place, normals, tile.is_wide, out);
         true
@@ -43,7 +43,7 @@ pub struct TileLight<'a> {
     /// Light beyond direct light.
     pub indirect: Option<&'a Lane3>,
     /// Visibility of the LEDs, and row and column of the tile in it; None for shadows of points.
-    pub visibility: Option<(&'a LedVisibility, (usize, usize))>,
+    pub visibility: Option<(&'a LedVisibility<'a>, (usize, usize))>,
 }
 
 /// Renderer of the tiles of a view.
@@ -190,7 +190,12 @@ impl WallTiles<'_> {
                 view.split_subsurface(scene, &surface, hits, &hits.triangle);
             let lit = (without_base.as_ref().unwrap_or(&surface), subsurface.as_ref());
             let shadows = match (view.shadows, tile.is_wide) {
-                _ if given.fractions(&found.normal, tile, &mut scratch.fractions) => {
+                _ if given.fractions(
+                    [&found.normal, &surface.normal],
+                    tile,
+                    &mut scratch.fractions,
+                ) =>
+                {
                     Shadows::Known(&scratch.fractions)
                 }
                 (false, _) => Shadows::None,

@@ -22,14 +22,14 @@ const DEPTH: f32 = 0.12;
 /// A tile with its margin.
 type Padded = [[f32; SIDE]; SIDE];
 
-impl LedVisibility {
-    /// Visible fraction of each LED in the pixels of a tile with unit `normals`; `is_wide` where
-    /// pixels are.
+impl LedVisibility<'_> {
+    /// Visible fraction of each LED in the pixels of a tile with unit normals, of the wall and with
+    /// relief; `is_wide` where pixels are.
     #[inline(always)]
     pub fn fractions(
         &self,
         (row, column): (usize, usize),
-        normals: &Lane3,
+        [normals, relief]: [&Lane3; 2],
         is_wide: bool,
         out: &mut Vec<Lane>,
     ) {
@@ -37,7 +37,7 @@ impl LedVisibility {
         let neighbors = self.neighbors(row, column);
         let mut mixed = Vec::new();
         out.clear();
-        for k in 0..self.num_leds {
+        for k in 0..self.num_leds() {
             let uniform = self.uniform(&neighbors, k);
             out.push([if uniform == Some(true) { 1.0 } else { 0.0 }; LANES]);
             if uniform.is_none() {
@@ -50,10 +50,12 @@ impl LedVisibility {
         let kernel = &KERNELS[usize::from(is_wide)];
         let weights = self.weights(own, (row, column), normals, kernel);
         for k in mixed {
-            let bits = |tile: usize| self.lit[tile * self.num_leds + k];
+            let bits = |tile: usize| self.lit[tile * self.num_leds() + k];
             let lit = self.padded_bits((row, column), bits);
             out[k] = mean(&weights, &lit);
-            if let Some((near, fraction)) = self.near[own * self.num_leds + k].as_deref() {
+            if let Some((near, visible)) = self.near[own * self.num_leds() + k].as_deref() {
+                let points = &self.points[own].position;
+                let fraction = self.samples.near_fraction(k, (points, relief), visible);
                 for (i, is_near) in lanes_of(*near).into_iter().enumerate() {
                     out[k][i] = if is_near { fraction[i] } else { out[k][i] };
                 }
@@ -61,12 +63,17 @@ impl LedVisibility {
         }
     }
 
+    #[inline(always)]
+    fn num_leds(&self) -> usize {
+        self.samples.leds.len()
+    }
+
     /// Whether LED `k` lights all lanes of a tile and of its margin, or none; None if it varies.
     #[inline(always)]
     pub fn uniform(&self, neighbors: &[(usize, u64)], k: usize) -> Option<bool> {
         let (mut lit, mut dark) = (0, 0);
         for &(tile, mask) in neighbors {
-            let bits = self.lit[tile * self.num_leds + k];
+            let bits = self.lit[tile * self.num_leds() + k];
             lit |= bits & mask;
             dark |= !bits & mask;
         }

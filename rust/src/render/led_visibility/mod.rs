@@ -45,22 +45,22 @@ pub struct Samples<'a> {
 }
 
 /// Visibility of LEDs in some rows of tiles.
-pub struct LedVisibility {
+pub struct LedVisibility<'a> {
+    samples: &'a Samples<'a>,
     columns: usize,
-    num_leds: usize,
     points: Vec<TilePoints>,
     /// For each tile and each LED, a bit for each lane whose ray is free.
     lit: Vec<u64>,
-    /// Visible fractions of near LEDs, for each tile and each LED.
+    /// Visible samples of near LEDs, for each tile and each LED.
     near: Vec<NearLanes>,
 }
 
 /// Surfaces visible in some rows of tiles, and the LEDs that light them.
-pub struct Strip<S> {
+pub struct Strip<'a, S> {
     /// Visible surface of each tile.
     pub seen: Vec<S>,
     /// Visibility of the LEDs there.
-    pub visibility: LedVisibility,
+    pub visibility: LedVisibility<'a>,
 }
 
 impl<'a> Samples<'a> {
@@ -95,11 +95,11 @@ pub fn bits_of(lanes: &[bool; LANES]) -> u64 {
     bits
 }
 
-impl<S: Send + Sync> Strip<S> {
+impl<'a, S: Send + Sync> Strip<'a, S> {
     /// Traces rows of tiles, an even number of rows from the top, and shadow rays to the LEDs.
     pub fn trace<T: TileRenderer<Seen = S> + Sync>(
         renderer: &T,
-        samples: &Samples<'_>,
+        samples: &'a Samples<'a>,
         tiles: &[TileRays],
         columns: usize,
     ) -> Self {
@@ -124,9 +124,9 @@ impl<S: Send + Sync> Strip<S> {
                 refine_row(renderer, samples, (tiles, points), (row, &blocks))
             })
             .collect();
-        let (lit, num_leds) = (lit.concat(), samples.leds.len());
-        let mut visibility = LedVisibility { columns, num_leds, points, lit, near: Vec::new() };
-        visibility.sample_near_discs(renderer, samples, tiles);
+        let (lit, near) = (lit.concat(), Vec::new());
+        let mut visibility = LedVisibility { samples, columns, points, lit, near };
+        visibility.sample_near_discs(renderer, tiles);
         Strip { seen, visibility }
     }
 }

@@ -1,4 +1,4 @@
-//! Visible fractions of the discs of LEDs near a surface, by rays to all samples of a disc.
+//! Light of LEDs that are near a surface, by rays to all samples of a disc.
 //!
 //! There light is many times as bright as elsewhere, and the means over neighbors in `filter` are
 //! not close enough at the edges of folds.
@@ -11,11 +11,11 @@ use crate::simd::f32x64::*;
 use crate::wall::bundle::{RAYS, lit_by};
 use rayon::prelude::*;
 
-/// Square of an LED's radius over that of its distance above which it is near: 7 radii.
-const NEAR: f32 = 0.02;
+/// Square of an LED's radius over that of its distance above which it is near: 9 radii.
+const NEAR: f32 = 0.0123;
 
-/// A bit for each lane that is near an LED, and the visible fraction of the LED there.
-pub type NearLanes = Option<Box<(u64, Lane)>>;
+/// A bit for each lane that is near an LED, and a bit for each sample of the LED that is seen there.
+pub type NearLanes = Option<Box<(u64, [u16; LANES])>>;
 
 impl Samples<'_> {
     /// A bit for each used point that is near LED `k`.
@@ -30,38 +30,67 @@ impl Samples<'_> {
         bits_of(&is_near) & used
     }
 
-    /// Fraction of the samples of LED `k` that each point sees, without particles in between.
+    /// A bit for each sample of LED `k` that each point sees, without particles in between.
     #[inline(always)]
-    fn fraction(&self, k: usize, points: &Lane3, used: &[bool; LANES]) -> Lane {
-        let (center, starts) = (self.leds[k].position, &self.starts[k]);
-        let mut fraction = [0.0; LANES];
+    fn visible(&self, k: usize, points: &Lane3, used: &[bool; LANES]) -> [u16; LANES] {
+        let mut visible = [0; LANES];
         for first in (0..SAMPLES).step_by(RAYS) {
-            let source = |_: usize, n: usize| add(center, at(starts, sample_lane(first + n)));
+            let source = |_: usize, n: usize| self.place(k, first + n);
             let lit = lit_by(self.wall, (RAYS, source), points, used);
             for i in 0..LANES {
-                fraction[i] += lit[i].count_ones() as f32 * (1.0 / SAMPLES as f32);
+                visible[i] |= (lit[i] << first) as u16;
             }
         }
-        fraction
+        visible
+    }
+
+    /// Place of a sample of LED `k` [m].
+    #[inline(always)]
+    fn place(&self, k: usize, sample: usize) -> Vec3 {
+        add(self.leds[k].position, at(&self.starts[k], sample_lane(sample)))
+    }
+
+    /// Visible fraction of LED `k` at points with unit normals, from the samples that each sees.
+    ///
+    /// It is the fraction of the disc above the horizon, times that of the light from there which
+    /// arrives: samples near the horizon are often hidden, and light little.
+    #[inline(always)]
+    pub fn near_fraction(
+        &self,
+        k: usize,
+        (points, normals): (&Lane3, &Lane3),
+        visible: &[u16; LANES],
+    ) -> Lane {
+        let led = &self.leds[k];
+        let (mut above, mut sent, mut arriving) = ([0.0; LANES], [1e-30; LANES], [0.0; LANES]);
+        for sample in 0..SAMPLES {
+            let start = self.place(k, sample);
+            for i in 0..LANES {
+                let offset = sub(start, at(points, i));
+                let square = max(dot(offset, offset), 1e-10);
+                let height = max(dot(offset, at(normals, i)), 0.0);
+                let lobe = led.lobe(max(-dot(offset, led.direction) / square.sqrt(), 0.0));
+                let light = lobe * height / (square * square.sqrt());
+                above[i] += if height > 0.0 { 1.0 / SAMPLES as f32 } else { 0.0 };
+                sent[i] += light;
+                arriving[i] += if visible[i] >> sample & 1 == 1 { light } else { 0.0 };
+            }
+        }
+        std::array::from_fn(|i| above[i] * arriving[i] / sent[i])
     }
 }
 
-impl LedVisibility {
+impl LedVisibility<'_> {
     /// Traces rays to all samples of the LEDs that are near a tile and whose visibility varies.
-    pub fn sample_near_discs<T: TileRenderer + Sync>(
-        &mut self,
-        renderer: &T,
-        samples: &Samples<'_>,
-        tiles: &[TileRays],
-    ) {
+    pub fn sample_near_discs<T: TileRenderer + Sync>(&mut self, renderer: &T, tiles: &[TileRays]) {
         let rows = tiles.par_chunks(self.columns).with_max_len(1).enumerate();
         let near: Vec<Vec<NearLanes>> =
-            rows.map(|(row, tiles)| sample_row(renderer, samples, tiles, (row, self))).collect();
+            rows.map(|(row, tiles)| sample_row(renderer, tiles, (row, self))).collect();
         self.near = near.into_iter().flatten().collect();
     }
 }
 
-/// Visible fractions of near LEDs in a row of tiles.
+/// Visible samples of near LEDs in a row of tiles.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -69,10 +98,10 @@ impl LedVisibility {
 ))]
 fn sample_row<T: TileRenderer>(
     renderer: &T,
-    samples: &Samples<'_>,
     tiles: &[TileRays],
-    (row, visibility): (usize, &LedVisibility),
+    (row, visibility): (usize, &LedVisibility<'_>),
 ) -> Vec<NearLanes> {
+    let samples = visibility.samples;
     let (num_leds, mut scratch) = (samples.leds.len(), Scratch::default());
     let mut out = Vec::with_capacity(tiles.len() * num_leds);
     for column in 0..tiles.len() {
@@ -84,13 +113,13 @@ fn sample_row<T: TileRenderer>(
                 out.push(None);
                 continue;
             }
-            let mut fraction = samples.fraction(k, &points.position, &lanes_of(near));
+            let mut visible = samples.visible(k, &points.position, &lanes_of(near));
             let (place, mut clear) = (samples.leds[k].position, near);
             renderer.shade_particles(place, &points.position, &mut scratch, &mut clear);
-            for (fraction, is_clear) in fraction.iter_mut().zip(lanes_of(clear)) {
-                *fraction = if is_clear { *fraction } else { 0.0 };
+            for (visible, is_clear) in visible.iter_mut().zip(lanes_of(clear)) {
+                *visible = if is_clear { *visible } else { 0 };
             }
-            out.push(Some(Box::new((near, fraction))));
+            out.push(Some(Box::new((near, visible))));
         }
     }
     out

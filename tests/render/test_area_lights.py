@@ -88,7 +88,7 @@ def _ring(radius: float = RADIUS) -> tuple[Led, ...]:
 def _half_plane(
     radius: float, height: float, eye: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Visible fraction of an LED above a half-plane [h w], the reference, and place on the floor [m].
+    """Visible fraction of an LED above a half-plane [h w], a reference, and place on the floor.
 
     From the floor at x an LED at twice the blocker's height is seen where its own x is above −x:
     acos(t)/π − t √(1 − t²)/π of its area for t = −x over its radius.
@@ -128,7 +128,7 @@ def test_penumbra_behind_a_half_plane(radius: float) -> None:
 
 
 def test_penumbra_near_an_led() -> None:
-    """At 5 radii, a pixel has the light that arrives at its own point, not a mean over neighbors."""
+    """At 5 radii, a pixel has the light that arrives at its own point, not a neighbors' mean."""
     height = 1.5 * MM
     fraction, closed, place = _half_plane(RADIUS, height, 1.2 * MM)
     x = place[..., 0]

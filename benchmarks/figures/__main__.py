@@ -102,6 +102,7 @@ FIGURES = (
     *_validation("capsule_designs contact coverage ct defaults fem labels"),
     *_validation("lesion_sizes resume exactly_once kill_runs"),
     Figure("benchmarks.validation.learning", ("--size", "20")),
+    Figure("benchmarks.validation.device_policies"),
     *_validation("lesions light moving_labels path placing sensor located_steering reconstruction"),
     *([Figure("benchmarks.validation.lerobot", ("--python", LEROBOT))] * bool(LEROBOT)),
 )

@@ -106,14 +106,14 @@ class Case:
 
 EXACT = (StateObservation(), ImageObservation("ray_distance", size=(40, 40)))
 CASES = {
-    "rest": Case("magnet at rest"),
-    "random": Case("random twist", make=RandomTwist),
+    "rest": Case("magnet at rest", organs=10),
+    "random": Case("random twist", make=RandomTwist, organs=10),
     "explorer": Case("`explorer`, magnet", "explorer"),
     "arm": Case("`explorer`, arm", "explorer", {"actuation": "arm"}, organs=10),
     "exact": Case(
         "`explorer`, magnet, true pose, exact distances", "explorer", {"observations": EXACT}
     ),
-    "trained": Case("`coverage-device`, magnet", "coverage-device"),
+    "trained": Case("`coverage-device`, magnet", "coverage-device", organs=10),
     "ideal": Case("`coverage-ppo`, ideal wrench, no gravity, true unseen regions", "coverage-ppo"),
 }
 
@@ -133,13 +133,14 @@ def main() -> None:
     episodes, substep = given.size, f"{1e3 * SUBSTEP:g} ms"
     text = f"""## Policies with the observations of a device
 
-`python -m benchmarks.validation.device_policies`: stomachs 100 to 119 (arm: to 109), {episodes}
-episode in each, full physics with gravity in substeps of {substep}, capsule `magnetic`, magnet
-`cylinder-76.2` that moves at up to 5 cm/s and 1 rad/s, by hand or on a Panda arm. `explorer` reads
-the pose that a Kalman filter estimates from IMU and Hall sensors, the commanded pose of the magnet,
-and an image of 40 × 40 distances whose errors (5 % common to an image, 5 % of each pixel) stand for
-those of a depth network; it plans in a map that it builds from them. `coverage-device` is a network
-with the same pose and features of such a map; it imitates `explorer` in stomachs 0 to 15. Mean
+`python -m benchmarks.validation.device_policies`: stomachs 100 to 119, or to 109 in rows of ten
+episodes, {episodes} episode in each, full physics with gravity in substeps of {substep}, capsule
+`magnetic`, magnet `cylinder-76.2` that moves at up to 5 cm/s and 1 rad/s, by hand or on a Panda
+arm. `explorer` reads the pose that a Kalman filter estimates from IMU and Hall sensors, the
+commanded pose of the magnet, and an image of 40 × 40 distances whose errors (5 % common to an
+image, 5 % of each pixel) stand for those of a depth network; it plans in a map that it builds from
+them. `coverage-device` is a network with the same pose and features of such a map; it imitates
+`explorer` in stomachs 0 to 15. Mean
 coverage `visible` with the 95 % interval of a bootstrap over organs; an episode that ends keeps its
 coverage. Force: sum of the normal forces of the wall, mean over an action, percentiles over all
 actions. A throw, faster than 1.5 m/s, ends an episode.

@@ -230,11 +230,11 @@ def distance(found: dict[str, Evaluation]) -> str:
     ends = ", ".join(f"{time:g} s" for time in TIMES)
     return f"""**Distance to the ideal policy.** At {ends} the planner with the observations
 of a device leaves {left} of the wall unseen by magnet, and {by_arm} by the arm, whose joints
-move at a tenth of their limits; the ideal policy leaves {ideal[0]:.2f} % at the first of these times.
-A random twist, which observes nothing, leaves {unseen}: with a view of 170° almost any
+move at a tenth of their limits; the ideal policy leaves {ideal[0]:.2f} % at the first of these
+times. A random twist, which observes nothing, leaves {unseen}: with a view of 170° almost any
 motion shows most of a stomach at rest, and the planner is ahead by the remaining percents. The
-magnet at rest leaves {rest[-1]:.1f} %. Not simulated: motion of the stomach, mucus and bubbles in the
-image, a depth network, the delay of a robot, errors of the magnet's model, and a tracker that
+magnet at rest leaves {rest[-1]:.1f} %. Not simulated: motion of the stomach, mucus and bubbles in
+the image, a depth network, the delay of a robot, errors of the magnet's model, and a tracker that
 loses the capsule."""
 
 

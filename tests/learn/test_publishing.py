@@ -48,12 +48,17 @@ def samples(trained: TrainedNetwork) -> list[dict]:
     return [trained.task.inputs(picture, fit, camera) for picture in pictures()]
 
 
+def cropped(probe: dict) -> dict:
+    """The probe with at most 128 x 128 pixels: a network that enlarges takes images of any size."""
+    return {**probe, "image": probe["image"][:128, :128]}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("entry", PUBLISHED, ids=lambda entry: entry.name)
 def test_no_published_network_ignores_its_inputs(entry) -> None:
     """Each output changes with each input by more than a hundredth of its size."""
     trained = read_weights(OURS / entry.file)
-    by_probes = responses(trained, probes(trained))
+    by_probes = responses(trained, [cropped(probe) for probe in probes(trained)])
     assert set(by_probes) >= {f"output 0 by {name}" for name in trained.task.input_names}
     assert min(by_probes.values()) > MIN_RESPONSE
     by_image = {k: v for k, v in responses(trained, samples(trained)).items() if "image" in k}

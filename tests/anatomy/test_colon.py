@@ -47,7 +47,8 @@ def small_colon() -> OrganSurface:
 def colon(request: pytest.FixtureRequest, mean_colon: OrganSurface) -> OrganSurface:
     if request.param == "mean":
         return mean_colon
-    return generate_colon(ColonParameters.draw(np.random.default_rng(3)), seed=3)
+    drawn = ColonParameters.draw(np.random.default_rng(3))
+    return generate_colon(dataclasses.replace(drawn, triangles=60_000), seed=3)
 
 
 def edge_faces(faces: np.ndarray) -> np.ndarray:
@@ -81,7 +82,8 @@ def test_surface_is_a_closed_sphere_facing_the_lumen(colon: OrganSurface):
 
 
 def test_triangles_are_many_and_well_shaped(colon: OrganSurface):
-    assert 110_000 <= len(colon.faces) <= 120_000
+    asked = colon.metadata["parameters"]["triangles"]
+    assert asked <= len(colon.faces) <= 1.1 * asked
     quality = triangle_quality(Mesh(colon.vertices, colon.faces))
     assert quality.mean() > 0.9
     assert np.percentile(quality, 5) > 0.7
@@ -216,7 +218,7 @@ def test_texels_are_even_on_the_wall(colon: OrganSurface):
 
 def test_baked_mucosa_runs_on_across_cuts_and_seam(small_colon: OrganSurface):
     """Along every edge where strips part, both sides have the same color and relief."""
-    organ, look = small_colon, bake_appearance(small_colon, seed=0, texels_per_mm=3.0)
+    organ, look = small_colon, bake_appearance(small_colon, seed=0, texels_per_mm=2.0)
     halves = organ.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     ends = organ.uv[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 2)
     key = np.sort(halves, axis=1) @ [len(organ.vertices), 1]
@@ -250,7 +252,7 @@ def test_same_seed_same_bytes_other_seed_other_course(
 
 def test_courses_of_drawn_patients_have_their_length_and_flexures():
     """So courses have the moments of the drawn parameters, which the next test looks at."""
-    for seed in range(6):
+    for seed in range(4):
         rng = np.random.default_rng([seed, 1])
         parameters = ColonParameters.draw(rng)
         course = generate_course(parameters, rng)

@@ -28,7 +28,6 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.rng import truncated_normal
 from vrcaps.core.units import CM, MM
-from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.measure import measure_organ
 from vrcaps.organ.surface import OrganSurface, interpolate
 
@@ -43,7 +42,7 @@ def coarse_tract(seed: int) -> OrganSurface:
     return generate_full_tract(
         dataclasses.replace(patient.stomach, edge=4 * MM, rugae_height=2 * MM),
         dataclasses.replace(patient.small_bowel, edge=4 * MM, jejunum_fold_height=1.5 * MM),
-        dataclasses.replace(patient.colon, triangles=30_000),
+        dataclasses.replace(patient.colon, triangles=20_000),
         seed=seed,
     )
 
@@ -62,8 +61,7 @@ def tract() -> OrganSurface:
 
 
 def test_the_joined_wall_is_closed_and_cuts_nowhere(tract: OrganSurface):
-    assert measure_organ(tract).defects == ()
-    assert not len(self_intersections(tract.vertices, tract.faces))
+    assert measure_organ(tract).defects == ()  # self-intersections are defects
     edges = np.sort(tract.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, counts = np.unique(edges, axis=0, return_counts=True)
     assert np.all(counts == 2)
@@ -102,7 +100,7 @@ def test_texture_parts_do_not_overlap_and_each_gets_its_mucosa(tract: OrganSurfa
     # The band at the valve, between the last of the ileum and the colon, belongs to the ileum.
     least = tract.label[tract.faces].min(axis=1)
     assert set(which[least > tract.label_names.index("ileum")]) == {2}
-    organ = with_appearance(tract, seed=SEED, max_texels=400_000)
+    organ = with_appearance(tract, seed=SEED, max_texels=100_000)
     assert organ.appearance is not None
     assert organ.appearance.albedo.shape[:2] == organ.appearance.height.shape
     assert organ.uv.min() >= 0.0

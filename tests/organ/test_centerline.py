@@ -13,8 +13,6 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import triangle_areas
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh, triangle_distance, vertex_normals, wall_distance
-from vrcaps.mesh.read_mesh import read_mesh
-from vrcaps.mesh.repair import repair
 from vrcaps.organ import centerline
 from vrcaps.organ.centerline import centerline_from_points, compute_centerline
 from vrcaps.organ.lumen_grid import LumenGrid, grid_crossings, mean_radius, num_handles, voxelize
@@ -146,11 +144,11 @@ def pouched_tube():
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [pouched_tube, lambda: tube(arc())])
 def test_noise_on_the_wall_does_not_move_the_ends(make):
-    """Noise of 0.02 to 0.1 mm changes the length by less than 0.5 %, also in pouches."""
+    """Noise of 0.02 and 0.1 mm changes the length by less than 0.5 %, also in pouches."""
     mesh = make()
     normals = vertex_normals(mesh.vertices, mesh.faces)
     length = compute_centerline(mesh).length
-    for seed, height in enumerate((0.02 * MM, 0.05 * MM, 0.1 * MM)):
+    for seed, height in enumerate((0.02 * MM, 0.1 * MM)):
         noise = height * np.random.default_rng(seed).standard_normal((len(normals), 1))
         line = compute_centerline(Mesh(mesh.vertices + noise * normals, mesh.faces))
         assert line.length == pytest.approx(length, rel=5e-3)
@@ -187,18 +185,16 @@ def test_loops_that_all_but_touch_are_not_cut_short():
 
 
 @pytest.mark.parametrize(
-    ("name", "unit", "length"),
+    ("name", "length"),
     [
-        ("colon_GI1_mm", "mm", 1.65),
-        ("colon_GI1_raw", "5cm", 1.65),
-        ("stomach_A_mm", "mm", 0.125),
-        ("stomach_C_mm", "mm", 0.077),
-        ("stomach_new5_raw", "mm", 0.077),
+        ("colon_GI1_mm", 1.65),
+        ("stomach_A_mm", 0.125),
+        ("stomach_C_mm", 0.077),
+        ("stomach_new5_raw", 0.077),
     ],
 )
-def test_real_organs(shared_data, name, unit, length):
-    mesh, _ = repair(read_mesh(shared_data / "organs" / f"{name}.ply", unit=unit))
-    line = compute_centerline(mesh)
+def test_real_organs(real_organ, name, length):
+    line = real_organ(name).centerline
     assert line.length == pytest.approx(length, rel=0.05)
     assert is_clear(line)
     inner = (line.arc_length > 0.1 * line.length) & (line.arc_length < 0.9 * line.length)

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from vrcaps.core.units import MM
-from vrcaps.mesh.read_mesh import read_mesh
-from vrcaps.mesh.repair import repair
-from vrcaps.organ.centerline import centerline_from_points, compute_centerline
+from vrcaps.organ.centerline import centerline_from_points
 from vrcaps.organ.gut_coordinates import gut_coordinates
 
 RADIUS = 10 * MM
@@ -93,10 +91,9 @@ def test_theta_turns_from_first_to_second_axis():
 
 
 @pytest.mark.parametrize("name", ["colon_GI1_mm", "stomach_A_mm", "stomach_C_mm"])
-def test_real_organ_is_continuous(shared_data, name):
-    mesh, _ = repair(read_mesh(shared_data / "organs" / f"{name}.ply", unit="mm"))
-    line = compute_centerline(mesh)
-    arc_length, theta, radius = gut_coordinates(mesh.vertices, mesh.faces, line)
+def test_real_organ_is_continuous(real_organ, name):
+    mesh = real_organ(name)
+    line, arc_length, theta, radius = mesh.centerline, mesh.arc_length, mesh.theta, mesh.radius
     assert arc_length.min() >= 0.0
     assert arc_length.max() <= line.length
     assert np.isfinite(theta).all()

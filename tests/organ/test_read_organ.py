@@ -100,11 +100,11 @@ def test_written_organ_comes_back(tube, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "unit", "length_mm"),
-    [("colon_GI1_mm", "mm", (800, 2500)), ("stomach_new5_raw", "mm", (50, 200))],
+    ("name", "length_mm"),
+    [("colon_GI1_mm", (800, 2500)), ("stomach_new5_raw", (50, 200))],
 )
-def test_real_organs(shared_data, name, unit, length_mm):
-    organ = read_organ(shared_data / "organs" / f"{name}.ply", unit=unit)
+def test_real_organs(real_organ, name, length_mm):
+    organ = real_organ(name)
     check_organ(organ)
     assert organ.label_names == ("background", "wall")
     assert np.all(organ.label == 1)

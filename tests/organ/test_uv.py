@@ -6,10 +6,6 @@ import pytest
 from vrcaps.core.errors import InputError
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.mesh.read_mesh import read_mesh
-from vrcaps.mesh.repair import repair
-from vrcaps.organ.centerline import compute_centerline
-from vrcaps.organ.gut_coordinates import gut_coordinates
 from vrcaps.organ.uv import (
     _unfolded,
     atlas_coordinates,
@@ -127,11 +123,9 @@ def test_atlas_is_reproducible():
 
 
 @pytest.mark.parametrize("name", ["colon_GI1_mm", "stomach_A_mm", "stomach_C_mm"])
-def test_real_organs(shared_data, name):
-    mesh, _ = repair(read_mesh(shared_data / "organs" / f"{name}.ply", unit="mm"))
-    line = compute_centerline(mesh)
-    uv = texture_coordinates(mesh, *gut_coordinates(mesh.vertices, mesh.faces, line))
-    assert_good_atlas(mesh.vertices, mesh.faces, uv, spread=1.6)
+def test_real_organs(real_organ, name):
+    organ = real_organ(name)
+    assert_good_atlas(organ.vertices, organ.faces, organ.uv, spread=1.6)
 
 
 def test_faces_in_disorder_are_refused_at_once():

@@ -12,7 +12,7 @@ from vrcaps.core.errors import InputError
 @pytest.mark.slow
 @pytest.mark.usefixtures("coarse_organs")
 def test_a_short_recording_is_measured() -> None:
-    report = record.measure(num_frames=4, num_runs=1)
+    report = record.measure(num_frames=2, num_runs=1)
     *rates, memory = report.claims
     for rate in rates:
         assert rate.measured is not None

@@ -19,7 +19,7 @@ export PYTHONDONTWRITEBYTECODE :=
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 export PYO3_BUILD_EXTENSION_MODULE := 1
 
-.PHONY: help demo test test-python test-rust test-fast test-servers check check-python check-rust \
+.PHONY: help demo test test-python test-rust test-fast test-servers validate check check-python check-rust \
 	 docs notebooks figures wheel constraints clean
 .DELETE_ON_ERROR:
 
@@ -28,6 +28,7 @@ help:
 	@echo "make test   run all tests"
 	@echo "make test-fast  run the tests that are not marked slow, in under a minute"
 	@echo "make test-servers  run the tests that start a Ray cluster or an S3 server, in two minutes"
+	@echo "make validate  run the tests of claims at their full size, in a few minutes"
 	@echo "make check  lint, format and type checks"
 	@echo "make docs   build the documentation site into site"
 	@echo "make notebooks  run the tutorials at their full length, in half an hour"
@@ -49,7 +50,10 @@ test-rust: $(VENV)/.stamp-venv
 	cargo test --quiet --manifest-path rust/Cargo.toml
 
 test-fast: $(VENV)/.stamp-dev
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'not slow and not wheel and not server and not notebook'
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'not slow and not wheel and not server and not notebook and not validation'
+
+validate: $(VENV)/.stamp-dev
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m validation
 
 notebooks: $(VENV)/.stamp-dev
 	$(BIN)/python -m pytest -m notebook tests/docs

@@ -140,7 +140,7 @@ def rendering() -> Iterator[Renderer]:
 def test_a_fork_while_another_thread_is_in_the_core_does_not_hang(rendering: Renderer) -> None:
     """Not even where the child uses what the other thread was using, or the same caches."""
     expected = _frame()
-    for _ in range(20):
+    for _ in range(10):
         assert _in_child(lambda: (_frame(), _frame(rendering))) == (expected, expected)
 
 

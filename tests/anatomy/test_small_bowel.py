@@ -54,6 +54,13 @@ def test_wall_is_closed_clean_and_cuts_nowhere(bowel: OrganSurface):
     assert np.einsum("ij,ij->", a, np.cross(b, c)) < 0.0
 
 
+@pytest.mark.validation
+def test_the_wall_of_a_whole_patient_is_closed_and_cuts_nowhere(around: NeighboringOrgans):
+    whole = draw_patient_anatomy(SEED, "normal").small_bowel
+    assert whole.length > 3.0
+    test_wall_is_closed_clean_and_cuts_nowhere(generate_small_bowel(whole, around, seed=SEED))
+
+
 def test_triangles_are_small_and_well_shaped(bowel: OrganSurface):
     quality = triangle_quality(Mesh(bowel.vertices, bowel.faces))
     assert quality.mean() > 0.88

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from tests.support.coarse_organs import COARSE_BAKING
 from tests.support.waiting import WATCHDOG, wait_until
 from vrcaps import cli
 from vrcaps.recording.episode import read_episode
@@ -111,7 +112,8 @@ def test_interrupted_recording_ends_in_one_line_and_goes_on(phantom: Path, tmp_p
     flags = f"record --organ {phantom} --unit mm --frames 400 --out {out}".split()
     # A shell's background job ignores Ctrl-C, and its children inherit that.
     listen = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
-    script = [sys.executable, "-c", f"{listen}; from vrcaps.cli import main; main()", *flags]
+    code = f"{listen}{COARSE_BAKING}from vrcaps.cli import main; main()"
+    script = [sys.executable, "-c", code, *flags]
     process = subprocess.Popen(script, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     wait_until(lambda: list(out.glob("front/rgb/0000*.png")) or process.poll() is not None)
     assert process.poll() is None, process.communicate()[1]

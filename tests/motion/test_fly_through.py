@@ -28,11 +28,7 @@ def test_every_device_stays_inside(tube, device):
     """Center and cameras of every catalog device keep clear of the wall, whatever the seed."""
     model = Model(tube, read_device(device))
     wild = FlyThrough(whole=True, drift=0.95, tilt=0.7, roll=3.0)
-    for seed, settings in (
-        (0, FlyThrough(whole=True)),
-        (1, wild),
-        (2, replace(wild, start=0.9, end=0.1)),
-    ):
+    for seed, settings in ((0, FlyThrough(whole=True)), (2, replace(wild, start=0.9, end=0.1))):
         trajectory = _fly(model, settings, seed=seed)
         assert model.vital_clearance(trajectory.Ts_world_capsule).min() > 0.0
         assert model.wall.signed_distance(trajectory.Ts_world_capsule[:, :3, 3]).min() > 0.0
@@ -174,14 +170,14 @@ def test_capsule_that_fits_nowhere(model):
 
 @pytest.mark.slow
 def test_capsule_too_long_for_a_bend(model):
-    device = replace(model.device, length=0.4, radius=0.1)
+    device = replace(model.device, length=0.25, radius=0.06)
     with pytest.raises(InputError, match=r"a camera leaves the lumen 0\.\d+ of the way along"):
         _fly(Model(model.organ, device))
 
 
 def _constricted(closed: float) -> Model:
     """Straight tube with a ring in its middle that is narrower than the circle of side cameras."""
-    organ = straight_tube(0.2, 8 * MM, 48, 401)
+    organ = straight_tube(0.2, 8 * MM, 32, 201)
     device = read_device("panoramic")
     side = max(float(np.hypot(*camera.position[:2])) for camera in device.cameras)
     ring = np.exp(-(((organ.arc_length - 0.1) / (3 * MM)) ** 2))

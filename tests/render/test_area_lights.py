@@ -236,7 +236,7 @@ def test_direct_light_agrees_with_many_points(rng: np.random.Generator) -> None:
         _radiance(
             model, camera, state, RenderSettings(light="path", spp=n, max_bounces=1, path_seed=k)
         )
-        for n, k in ((4, 0), (256, 1), (256, 2))
+        for n, k in ((4, 0), (128, 1), (128, 2))
     )
     ours, hard = (
         _radiance(model, c, state) for c in (camera, make_camera(pinhole(192), leds=_ring(0.0)))

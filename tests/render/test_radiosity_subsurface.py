@@ -105,7 +105,7 @@ def test_a_thin_sheet_shines_through() -> None:
 @pytest.mark.slow
 def test_beside_folds_as_by_path_tracing() -> None:
     """Two renderings cancel path tracing's noise; without scattering red is far off."""
-    model, camera = _folds(80)
+    model, camera = _folds(48)
     state = looking(PLACE)
     one, two = (
         _radiance(model, camera, state, light="path", spp=48, max_bounces=8, path_seed=seed)

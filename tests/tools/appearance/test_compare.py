@@ -97,8 +97,8 @@ def write_images(folder: Path, count: int, level: int) -> Path:
 
 @pytest.mark.slow
 def test_the_command_compares_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    real = write_images(tmp_path / "real", 30, 100)
-    near, far = write_images(tmp_path / "near", 12, 101), write_images(tmp_path / "far", 12, 220)
+    real = write_images(tmp_path / "real", 20, 100)
+    near, far = write_images(tmp_path / "near", 8, 101), write_images(tmp_path / "far", 8, 220)
     out = tmp_path / "out"
     options = ["--other", f"near={near}", "--second-real", str(near), "--out", str(out)]
     main(["compare-looks", str(far), str(real), *options])

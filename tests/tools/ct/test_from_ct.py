@@ -26,6 +26,8 @@ from vrcaps.tools.ct.volume import Volume
 pytestmark = pytest.mark.slow
 
 MM = 1e-3
+COARSE = WallOptions(edge=3 * MM)
+"""For what does not depend on precision."""
 
 
 def from_gas(scan: Volume, wall: WallOptions | None = None, tagged_fluid: str | None = None):
@@ -85,7 +87,7 @@ def test_tagged_fluid_is_lumen_on_request_only(wet_scan, tube) -> None:
     assert abs(foot) < 1 * MM
     assert polyp_heights(organ, polyps[:1]) > 0.85
     assert np.quantile(distances(organ, truth), 0.95) < 0.25 * MM
-    dry = from_gas(wet_scan)
+    dry = from_gas(wet_scan, COARSE)
     assert distances(dry, truth).mean() > 1 * MM
 
 
@@ -128,7 +130,7 @@ def collapsed(dry_scan, tube) -> tuple[Volume, float]:
 
 
 def test_a_collapsed_stretch_is_reported(collapsed) -> None:
-    organ = organ_from_label(collapsed[0], 1, wall=WallOptions(), name="half")
+    organ = organ_from_label(collapsed[0], 1, wall=COARSE, name="half")
     first, second = organ.metadata["notes"]
     assert first.startswith("collapsed segment left closed: ")
     assert "--bridge-mm" in first
@@ -137,7 +139,7 @@ def test_a_collapsed_stretch_is_reported(collapsed) -> None:
 
 def test_a_collapsed_stretch_is_bridged(collapsed, tube) -> None:
     mask, middle = collapsed
-    organ = organ_from_label(mask, 1, wall=WallOptions(bridge=12 * MM), name="whole")
+    organ = organ_from_label(mask, 1, wall=replace(COARSE, bridge=12 * MM), name="whole")
     (note,) = organ.metadata["notes"]
     assert note.startswith("collapsed segment opened: ")
     assert organ.centerline.length == pytest.approx(np.ptp(tube[0].vertices[:, 2]), rel=0.06)
@@ -156,7 +158,7 @@ def squeezed(dry_scan, tube) -> Volume:
 
 def test_a_collapsed_stretch_of_gas_is_reported(squeezed, tube) -> None:
     for bridge in (0.0, 4 * MM):
-        organ = from_gas(squeezed, WallOptions(bridge=bridge))
+        organ = from_gas(squeezed, replace(COARSE, bridge=bridge))
         first, second = organ.metadata["notes"]
         assert re.match(r"collapsed segment left closed: \d+\.\d mm at .* ml; --bridge-mm", first)
         assert second.startswith("1 other parts left out (")
@@ -181,7 +183,7 @@ def test_a_cut_lumen_is_capped_or_left_open(dry_scan, tube) -> None:
     middle = dry_scan.index(tube[0].vertices.mean(axis=0)[None])[0]
     part = dry_scan.crop((slice(0, int(middle[0])), slice(None), slice(None)))
     for open_ends in ("cap", "keep"):
-        organ = from_gas(part, WallOptions(open_ends=open_ends))
+        organ = from_gas(part, replace(COARSE, open_ends=open_ends))
         judge = trimesh.Trimesh(organ.vertices, organ.faces, process=False)
         assert judge.is_watertight == (open_ends == "cap")
 

@@ -15,7 +15,7 @@ from vrcaps.tools.ct.from_ct import (
     organ_from_label,
 )
 from vrcaps.tools.ct.scan_files import read_volume
-from vrcaps.tools.ct.volume import common_part
+from vrcaps.tools.ct.volume import Volume, common_part
 
 ML = 1e-6
 
@@ -37,6 +37,7 @@ def test_visible_human_pelvis(shared_data: Path, tmp_path: Path) -> None:
     assert -700 < np.median(values) < -300  # half-way between gas and wall
 
 
+@pytest.mark.validation
 def test_colon_mask_keeps_its_volume(shared_data: Path) -> None:
     mask = read_volume(shared_data / "ct" / "colon_A_512x512x460.nii.gz")
     wall = WallOptions(edge=5e-3, anatomy="colon", bridge=0.04)
@@ -49,10 +50,17 @@ def test_colon_mask_keeps_its_volume(shared_data: Path) -> None:
     assert set(np.unique(colon.label)) == set(range(1, 9))
 
 
-@pytest.mark.parametrize("label", ["colon", "stomach", "duodenum", "small_bowel"])
-def test_labels_where_they_overlap_the_scan(shared_data: Path, label: str) -> None:
+@pytest.fixture(scope="module")
+def overlap(shared_data: Path) -> tuple[Volume, Volume]:
+    """A scan and its label map where they overlap."""
     scan = read_volume(shared_data / "ct" / "example_ct.nii.gz")
-    part, labels = common_part(scan, read_volume(shared_data / "ct" / "example_seg.nii.gz"))
+    return common_part(scan, read_volume(shared_data / "ct" / "example_seg.nii.gz"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("label", ["colon", "stomach", "duodenum", "small_bowel"])
+def test_labels_where_they_overlap_the_scan(overlap: tuple[Volume, Volume], label: str) -> None:
+    part, labels = overlap
     assert part.values.shape == labels.values.shape == (30, 101, 122)
     number = TOTALSEGMENTATOR[label]
     organ = organ_from_label(

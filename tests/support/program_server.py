@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import gc
 import importlib
 import json
 import os
@@ -45,7 +46,8 @@ PACKAGES = (
 
 
 def load() -> None:
-    """Import the packages of others."""
+    """Import the packages of others; garbage collection of a fork leaves them out."""
+    gc.disable()
     os.environ["MPLBACKEND"] = "agg"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -54,6 +56,9 @@ def load() -> None:
                 importlib.import_module(name)
     loaded = sorted(name for name in sys.modules if name.partition(".")[0] == "vrcaps")
     assert not loaded, loaded
+    gc.collect()
+    gc.freeze()
+    gc.enable()
 
 
 def run(job: dict[str, Any]) -> int:

@@ -147,7 +147,7 @@ def test_no_fold_cuts_through_the_axis(spring_wall: SpringWall | None) -> None:
         spring_wall=spring_wall,
     )
     assert world.inside()
-    for _ in range(60):
+    for _ in range(25):
         push = rng.normal(size=3)
         force = push * (5.0 / np.linalg.norm(push))
         for _ in range(10):

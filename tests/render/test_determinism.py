@@ -50,8 +50,8 @@ def digest() -> str:
 
 @pytest.mark.slow
 def test_same_bytes_for_any_number_of_threads() -> None:
-    counts, digests = digests_by_threads(Path(__file__), (1, 2, 3))
-    assert counts == [1, 2, 3]
+    counts, digests = digests_by_threads(Path(__file__), (1, 3))
+    assert counts == [1, 3]
     assert digests == {digest()}
 
 

@@ -174,6 +174,7 @@ def main() -> None:
     """Load packages, then answer until standard input ends."""
     load()
     serve(sys.stdin, sys.stdout)
+    gc.unfreeze()  # for the exit
 
 
 if __name__ == "__main__":

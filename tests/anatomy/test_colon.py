@@ -29,13 +29,13 @@ from vrcaps.organ.uv import texture_stretch
 
 pytestmark = pytest.mark.slow
 
-SMALL = 20_000
-"""Triangles of the colons that are made only to be compared."""
+SMALL, COARSE = 20_000, 60_000
+"""Triangles of the colons that are made only to be compared, and of those that are looked at."""
 
 
 @pytest.fixture(scope="module")
 def mean_colon() -> OrganSurface:
-    return generate_colon(ColonParameters(), seed=0)
+    return generate_colon(dataclasses.replace(ColonParameters(), triangles=COARSE), seed=0)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def colon(request: pytest.FixtureRequest, mean_colon: OrganSurface) -> OrganSurf
     if request.param == "mean":
         return mean_colon
     drawn = ColonParameters.draw(np.random.default_rng(3))
-    return generate_colon(dataclasses.replace(drawn, triangles=60_000), seed=3)
+    return generate_colon(dataclasses.replace(drawn, triangles=COARSE), seed=3)
 
 
 def edge_faces(faces: np.ndarray) -> np.ndarray:

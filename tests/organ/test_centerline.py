@@ -190,7 +190,6 @@ def test_loops_that_all_but_touch_are_not_cut_short():
         ("colon_GI1_mm", 1.65),
         ("stomach_A_mm", 0.125),
         ("stomach_C_mm", 0.077),
-        ("stomach_new5_raw", 0.077),
     ],
 )
 def test_real_organs(real_organ, name, length):

@@ -101,7 +101,7 @@ def test_written_organ_comes_back(tube, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "length_mm"),
-    [("colon_GI1_mm", (800, 2500)), ("stomach_new5_raw", (50, 200))],
+    [("colon_GI1_mm", (800, 2500)), ("stomach_C_mm", (50, 200))],
 )
 def test_real_organs(real_organ, name, length_mm):
     organ = real_organ(name)

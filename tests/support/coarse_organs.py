@@ -6,6 +6,7 @@ one only reads it. Textures that a program bakes itself are coarse by `COARSE_BA
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -16,10 +17,12 @@ from tests.support.tubes import straight_gut
 from vrcaps.core.files import cache_in
 from vrcaps.organ.surface import OrganSurface
 
-TEXELS_PER_MM = 1.0
+TEXELS_PER_MM, ATLAS = 1.0, 512
+"""Texels of a texture, and width of the atlas in which its charts are packed [texels]."""
 COARSE_BAKING = f"""
-import vrcaps.mucosa.bake
+import vrcaps.mucosa.bake, vrcaps.organ.uv
 vrcaps.mucosa.bake.DEFAULT_TEXELS_PER_MM = {TEXELS_PER_MM}
+vrcaps.organ.uv._RESOLUTION = {ATLAS}
 """
 """Statements for the beginning of a program."""
 
@@ -30,6 +33,15 @@ _NAMES = {
     "small-bowel": ((0, None),),
 }
 """Seeds and distensions of the organs of pages, notebooks and examples."""
+
+
+@pytest.fixture(scope="package", autouse=True)
+def coarse_textures() -> Iterator[None]:
+    """Textures are coarse, for the conftest of a folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("vrcaps.mucosa.bake.DEFAULT_TEXELS_PER_MM", TEXELS_PER_MM)
+        patch.setattr("vrcaps.organ.uv._RESOLUTION", ATLAS)
+        yield
 
 
 def fill_cache(folder: Path) -> None:

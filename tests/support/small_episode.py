@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.coarse_organs import ATLAS
 from tests.support.tubes import textured
 from tests.support.write_ply import write_ply
 from vrcaps.camera_pipeline.effects import Effects
@@ -76,7 +77,9 @@ def mesh_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def organ(mesh_file: Path) -> OrganSurface:
     """The tube with two segments, a lesion and a textured wall."""
-    plain = read_organ(mesh_file, unit="m")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("vrcaps.organ.uv._RESOLUTION", ATLAS)
+        plain = read_organ(mesh_file, unit="m")
     half = plain.centerline.length / 2
     marked = replace(
         plain,

@@ -102,3 +102,14 @@ def test_a_text_names_lesions() -> None:
     assert env_settings(lesions=("polyp-Ip:size=12mm",)) == one
     with pytest.raises(UnknownNameError, match=r"'polp'.*Did you mean 'polyp"):
         env_settings(lesions=("polp",))
+
+
+def test_each_value_of_an_action_has_a_name_with_its_unit() -> None:
+    parts = {"wrench": "torque_z [0.0001 N·m]", "magnet": "angular_velocity_z [1 rad/s]"}
+    parts |= {"arm": "joint_7_velocity [0.261 rad/s]", "coils": "coil_9_current [60 A]"}
+    for kind, last in parts.items():
+        actuation = env_settings(actuation=kind).actuation
+        assert actuation.names[-1] == last
+        assert len(actuation.names) == actuation.space().shape[0]
+    discrete = env_settings(actuation={"kind": "wrench", "mode": "discrete"}).actuation
+    assert discrete.names == ("choice [0.02 N]",)

@@ -16,7 +16,7 @@ from vrcaps.core.errors import InputError, VrcapsError
 from vrcaps.formats.format import FORMATS
 from vrcaps.formats.io import export, read_format
 
-PLAIN = [kind for kind in FORMATS if kind not in ("coco", "bop", "lerobot", "mcap")]
+PLAIN = [k for k in FORMATS if k not in ("coco", "bop", "lerobot", "mcap", "minari")]
 """Formats that hold frames and no lesions."""
 APPLE = b"\0\5\x16\7\0\2\0\0Mac OS X        "
 

@@ -36,7 +36,9 @@ def all_targets(folder: Path, episode: Episode) -> list[Target]:
     sequence = ellipsoid_sequence(_LENS, 40, 36, frames=3)
     (recorded,) = episode.sequences()
     targets = [
-        _format(folder, kind, recorded if kind in OF_EPISODES else sequence) for kind in FORMATS
+        _format(folder, kind, recorded if kind in OF_EPISODES else sequence)
+        for kind in FORMATS
+        if kind != "minari"  # Minari itself reads it
     ]
     more = (_episode, _ledger, _plan, _scenario, _device, _tum, _euroc, _unity, _pictures)
     more += (_wrenches, _field_map, _policy, _meshes)

@@ -7,6 +7,7 @@ relative path that stays below its folder, even if links are followed.
 from __future__ import annotations
 
 import os
+import re
 import unicodedata
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
@@ -21,6 +22,21 @@ _TURNING = ("LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI")
 """Classes of characters that change the direction of writing, so that a name looks like another."""
 _SYSTEM_FILES = ("thumbs.db", "desktop.ini", "__macosx", "icon\r")
 """Files and folders, in lower case, that Windows and macOS add to a user's folders."""
+
+_DATASET_ID = re.compile(r"([\w-]+/)*[\w-]+-v\d+", re.ASCII)
+
+
+def require_dataset_id(dataset_id: str) -> None:
+    """Check the identifier of a Minari data set, such as ``vrcaps/stomach-v0``.
+
+    Raises:
+        InputError: If it has other characters or no version.
+    """
+    if not _DATASET_ID.fullmatch(dataset_id):
+        raise InputError(
+            f"dataset_id is {dataset_id!r}. Allowed: letters, digits, - and _ with a version, such "
+            "as vrcaps/stomach-v0."
+        )
 
 
 def require_name(noun: str, name: Any) -> str:

@@ -39,6 +39,11 @@ if TYPE_CHECKING:
 _DIRECTIONS = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
 
 
+def _axis_names(**units: str) -> tuple[str, ...]:
+    """Names of vectors' components, with the value of an action of 1 in brackets."""
+    return tuple(f"{name}_{axis} [{unit}]" for name, unit in units.items() for axis in "xyz")
+
+
 @dataclass(frozen=True)
 class Wrench(Actuation):
     """A force on the capsule's center of mass and a torque.
@@ -73,6 +78,13 @@ class Wrench(Actuation):
         if self.mode == "discrete":
             return spaces.Discrete(len(_DIRECTIONS))
         return spaces.Box(-1.0, 1.0, (6,), np.float32)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Force and torque along each axis, or the choice."""
+        if self.mode == "discrete":
+            return (f"choice [{self.force:g} N]",)
+        return _axis_names(force=f"{self.force:g} N", torque=f"{self.torque:g} N·m")
 
     def controls(
         self, view: EnvView, actions: np.ndarray, indices: np.ndarray
@@ -132,6 +144,12 @@ class MagnetActuation(Actuation):
         from gymnasium import spaces
 
         return spaces.Box(-1.0, 1.0, (6,), np.float32)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Velocity and angular velocity along each axis."""
+        turn = f"{self.angular_speed:g} rad/s"
+        return _axis_names(velocity=f"{self.speed:g} m/s", angular_velocity=turn)
 
     def allocate(self, view: EnvView) -> None:
         """Allocate the magnet's pose and its box."""
@@ -250,6 +268,12 @@ class ArmActuation(Actuation):
         from gymnasium import spaces
 
         return spaces.Box(-1.0, 1.0, (self._robot.arm.num_joints,), np.float32)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Velocity of each joint."""
+        velocities = enumerate(self._ranges[2], 1)
+        return tuple(f"joint_{k}_velocity [{v:.4g} rad/s]" for k, v in velocities)
 
     def allocate(self, view: EnvView) -> None:
         """Allocate joint angles, the base's position, and the magnet's pose."""

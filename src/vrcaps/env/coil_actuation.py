@@ -69,6 +69,12 @@ class CoilActuation(Actuation):
 
         return spaces.Box(-1.0, 1.0, (len(self._array.coils),), np.float32)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Current of each coil."""
+        currents = enumerate(self._max_currents, 1)
+        return tuple(f"coil_{k}_current [{current:g} A]" for k, current in currents)
+
     def allocate(self, view: EnvView) -> None:
         """Allocate currents and temperatures."""
         count = len(self._array.coils)

@@ -241,6 +241,14 @@ class Actuation:
         """Action space of one world, a `gymnasium.spaces.Space`."""
         raise NotImplementedError
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each value of an action; by default with its index.
+
+        Its value at an action of 1 is in brackets, with the unit.
+        """
+        return tuple(f"action_{k}" for k in range(int(np.prod(self.space().shape))))
+
     def allocate(self, view: EnvView) -> None:
         """Allocate state in the view's memory; by default none."""
 

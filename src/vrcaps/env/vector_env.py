@@ -71,6 +71,11 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         return self.episode.observation_names
 
     @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the values of an action; their values at an action of 1 are in brackets."""
+        return self.settings.actuation.names
+
+    @property
     def view(self) -> EnvView:
         """Read-only view of the worlds, which is not available to a real capsule."""
         return self.episode.view

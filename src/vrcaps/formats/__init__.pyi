@@ -18,6 +18,7 @@ from .rectify import rectified as rectified
 from .rectify import resampled as resampled
 from .robotics.lerobot import LeRobot as LeRobot
 from .robotics.mcap import Mcap as Mcap
+from .robotics.minari import Minari as Minari
 from .robotics.ros2_bag import Ros2Bag as Ros2Bag
 from .slam.euroc import Euroc as Euroc
 from .slam.euroc import VslamLab as VslamLab

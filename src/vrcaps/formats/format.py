@@ -107,6 +107,7 @@ _BUILT_IN = {
         "Parquet files for Hugging Face.",
     ),
     "lerobot": ("robotics.lerobot:LeRobot", "LeRobot v3.0, for imitation learning."),
+    "minari": ("robotics.minari:Minari", "Minari, for offline reinforcement learning."),
     "mcap": ("robotics.mcap:Mcap", "MCAP, for Foxglove."),
     "ros2-bag": ("robotics.ros2_bag:Ros2Bag", "ROS 2 bag, for ROS and its tools."),
 }

@@ -5,6 +5,7 @@ from .catalog import policy_names as policy_names
 from .catalog import read_policy as read_policy
 from .evaluate import Plan as Plan
 from .evaluate import evaluate as evaluate
+from .evaluate import record_minari as record_minari
 from .evaluation import Evaluation as Evaluation
 from .mlp_policy import MlpPolicy as MlpPolicy
 from .navigator import NavigatorPolicy as NavigatorPolicy

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +33,7 @@ _VELOCITY = (
     *(f"capsule_v{axis}_m_per_s" for axis in "xyz"),
     *(f"capsule_w{axis}_rad_per_s" for axis in "xyz"),
 )
+_COIL_COMMAND = re.compile(r"coil_\d+_command_a")
 _NO_STATE = ("frame", "time_s", "captured", *_COMMANDED)
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 
@@ -60,7 +62,8 @@ def state_rows(episode: Episode) -> Rows:
     names = [
         name
         for name, values in columns.items()
-        if values.dtype.kind in "fiu" and name not in left_out and not name.startswith(of_cameras)
+        if values.dtype.kind in "fiu"
+        and not (name in left_out or _COIL_COMMAND.fullmatch(name) or name.startswith(of_cameras))
     ]
     return _rows(episode, names)
 
@@ -69,12 +72,13 @@ def action_rows(episode: Episode) -> Rows:
     """Action from each frame to the next; the last frame repeats its own row.
 
     With a steering magnet: pose of the magnet and joint angles of the arm at the next frame. With
-    dynamics: mean commanded wrench until then, and insufflation. Otherwise: velocity of the
-    capsule at the frame itself.
+    coils: their commanded currents. With dynamics: mean commanded wrench until then, and
+    insufflation. Otherwise: velocity of the capsule at the frame itself.
     """
     columns = episode.table.columns
     names = list(_MAGNET_POSE) if _MAGNET_POSE[0] in columns else []
     names += [name for name in columns if name.startswith("joint_")]
+    names += [name for name in columns if _COIL_COMMAND.fullmatch(name)]
     if _COMMANDED[0] in columns:
         names += [*_COMMANDED, "insufflation"]
     if not names:

@@ -9,7 +9,7 @@ from tests.support.small_envs import short_settings
 from vrcaps.core.errors import InputError
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.policy.catalog import read_policy
-from vrcaps.policy.minari_data import record_minari
+from vrcaps.policy.evaluate import record_minari
 
 minari = pytest.importorskip("minari")
 
@@ -27,7 +27,9 @@ def test_minari_reads_the_episodes_that_the_environment_gave():
     data = minari.load_dataset("vrcaps/tube-v0")
     assert data.total_episodes == 2
     assert data.total_steps == 8
-    assert "position_x [0.1 m]" in data.storage.metadata["description"]
+    about = data.storage.metadata
+    assert about["observation_names"]["state"][0] == "position_x [0.1 m]"
+    assert about["action_names"][0] == "force_x [0.02 N]"
     episode = data[1]
     env = CapsuleEnv(settings)
     observation, _ = env.reset(seed=6)

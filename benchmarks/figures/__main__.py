@@ -99,7 +99,7 @@ FIGURES = (
     *_validation("radiosity scattering denoise magnets motility sensing steering", is_timed=True),
     *_validation("textures quasi_static", is_timed=True),
     Figure("benchmarks.validation.small_bowel_transit", ("--size", "40")),
-    *_validation("capsule_designs contact coverage ct defaults fem labels"),
+    *_validation("capsule_designs collapsed_walls contact coverage ct defaults fem labels"),
     *_validation("lesion_sizes resume exactly_once kill_runs"),
     Figure("benchmarks.validation.learning", ("--size", "20")),
     Figure("benchmarks.validation.device_policies"),

@@ -35,7 +35,7 @@ _REACH = 45 * MM
 """Distance from the capsule, along the gut, within which the lumen is closed [m]."""
 _FADE = 25 * MM
 """Distance over which it opens beyond; a closed lumen hides that part."""
-_RECENTER = 5 * MM
+_RECENTER = 16 * MM
 """Distance over which the lumen returns from the capsule's axis to its own course [m]."""
 _SWAY, _PITCHES = 8.0 * MM, (13 * MM, 18 * MM)
 """Amplitude and wavelengths / 2π of the course of the closed lumen about the centerline [m]."""

@@ -21,7 +21,7 @@ from vrcaps.actuation.coil_array import (
     read_coil_array,
     unit_wrenches,
 )
-from vrcaps.actuation.coil_program import CoilSteering, Currents
+from vrcaps.actuation.coil_program import CoilSteering, Currents, coil_command_columns
 from vrcaps.actuation.steering_program import JoystickCommand, MagnetSteering
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, UnknownNameError
@@ -234,4 +234,22 @@ def test_command_files(tmp_path):
     assert len(rollout.sources(steps[-1])) == 2
     path.write_text("time_s,a\n0,0\n")
     with pytest.raises(InputError, match="not the header time_s,coil_1_a,coil_2_a or time_s,lin"):
+        begun(CoilSteering(coils=TWO, command_file=str(path)))
+
+
+def test_a_drive_mixes_axes_and_currents(tmp_path):
+    path = tmp_path / "drive.csv"
+    path.write_text(
+        f"{','.join(coil_command_columns(2))}\n"
+        "0.0,0.0,0.0,0.0,0.0,0.0,0.0,7.0,-90.0\n0.1,0.0,1.0,0.0,0.0,0.0,0.0,0.0,0.0\n"
+    )
+    rollout = begun(CoilSteering(coils=TWO, command_file=str(path)))
+    program = rollout.coils
+    program.control(rollout.world, 0.05, 0.01)
+    assert program.status.commands.tolist() == [7.0, -90.0]
+    assert program.status.limit == "current"
+    program.control(rollout.world, 0.15, 0.01)
+    assert program.target[1] == program.settings.joystick_force
+    path.write_text(path.read_text().replace("7.0", "nan"))
+    with pytest.raises(InputError, match="entry 0 has a current that is not finite"):
         begun(CoilSteering(coils=TWO, command_file=str(path)))

@@ -21,8 +21,8 @@ from vrcaps.cockpit.messages import (
     Steer,
     Viewpoint,
     encode,
-    parse_command,
 )
+from vrcaps.cockpit.page import parse_command
 from vrcaps.core.errors import InputError, UnknownNameError, VrcapsError
 
 KNOWN = {command.name: command for command in Command.__subclasses__()}

@@ -56,6 +56,17 @@ class Currents:
 
 
 @dataclass(frozen=True)
+class CoilCommand(JoystickCommand):
+    """Joystick axes from a time onwards, or currents instead.
+
+    Attributes:
+        currents: Current of each coil [A], commanded while all axes are 0; empty for none.
+    """
+
+    currents: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
 class CoilSteering:
     """Settings of an array of electromagnets that acts on the capsule.
 
@@ -75,7 +86,7 @@ class CoilSteering:
             given [m].
         joystick: Joystick axes as an alternative, each entry until the next.
         command_file: CSV file of either as an alternative, with the columns ``time_s,coil_1_a,…``
-            or those of a joystick, see `read_commands`.
+            or those of a joystick, see `read_commands`; or of both, see `CoilCommand`.
         joystick_force: Force at a full axis [N].
         joystick_torque: Torque at a full axis [N·m].
         period: Time between updates of the currents [s].
@@ -143,6 +154,11 @@ def coil_column_names(count: int) -> tuple[str, ...]:
     """Columns of `coil_row` in `frames.parquet`."""
     names = ("command_a", "current_a", "temperature_c")
     return (*(f"coil_{k}_{name}" for name in names for k in range(1, count + 1)), "coil_limit")
+
+
+def coil_command_columns(count: int) -> tuple[str, ...]:
+    """Columns of a file of `CoilCommand` for a number of coils."""
+    return (*JOYSTICK_COLUMNS, *(f"coil_{k}_a" for k in range(1, count + 1)))
 
 
 def coil_row(status: CoilStatus) -> dict[str, float | str]:
@@ -235,6 +251,9 @@ class CoilProgram:
         if self.operator is None and not self._joystick:
             return np.zeros(len(self.array.coils))
         command = (self.operator or self._recorded_command)(time, dt)
+        if isinstance(command, CoilCommand) and any(command.currents):
+            self.target = np.zeros(6)
+            return np.array(command.currents)
         settings = self.settings
         self.target = target = np.concatenate(
             [
@@ -280,11 +299,18 @@ def _read_commands(
     assert settings.command_file is not None
     path, count = path_of(settings.command_file), len(settings.array.coils)
     columns = ("time_s", *(f"coil_{k}_a" for k in range(1, count + 1)))
-    header, rows = read_numbers(path, (columns, JOYSTICK_COLUMNS), "commands")
+    headers = (columns, JOYSTICK_COLUMNS, coil_command_columns(count))
+    header, rows = read_numbers(path, headers, "commands")
     if header == columns:
         entries = tuple(Currents(row[0], tuple(row[1:])) for row in rows)
         check_currents(entries, count, str(path))
         return entries, ()
-    joystick = tuple(JoystickCommand(t, (x, y, z), (a, b, c)) for t, x, y, z, a, b, c in rows)
+    joystick = tuple(
+        CoilCommand(t, (x, y, z), (a, b, c), tuple(currents))
+        for t, x, y, z, a, b, c, *currents in rows
+    )
     check_joystick(joystick, str(path))
+    for index, entry in enumerate(joystick):
+        if not np.isfinite(entry.currents).all():
+            raise InputError(f"{path}: entry {index} has a current that is not finite.")
     return (), joystick

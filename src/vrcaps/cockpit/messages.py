@@ -9,15 +9,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY
-from vrcaps.config.convert import from_plain
 from vrcaps.config.fields import Range, check_fields
-from vrcaps.config.plain_files import decode_json
-from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError
 
 MAX_COMMAND = 8192
 """Maximum length of a command [characters]."""
@@ -110,6 +107,15 @@ class Steer(Command):
     def __post_init__(self) -> None:
         if not all(-1.0 <= axis <= 1.0 for axis in self.axes):
             raise InputError("axes are out of range. Allowed: six numbers from -1 to 1.")
+
+
+@dataclass(frozen=True)
+class SetCurrent(Command):
+    """Set the current of a coil, counted from 1 [A]; the axes are released."""
+
+    name = "set-current"
+    coil: Annotated[int, Range(1, 64)]
+    current: Annotated[float, Range(-1e6, 1e6, unit="A")]
 
 
 @dataclass(frozen=True)
@@ -286,33 +292,6 @@ class Align(Command):
     name = "align"
     by_driver = False
     alignment: str
-
-
-def parse_command(text: str | bytes, known: Mapping[str, type[Command]]) -> tuple[int, Command]:
-    """Parse and check a command.
-
-    Args:
-        text: Message of a browser.
-        known: Commands by name.
-
-    Returns:
-        Its ID, and the command.
-
-    Raises:
-        InputError: If it is not a command, or a value is not allowed.
-        UnknownNameError: If there is no such command.
-    """
-    if len(text) > MAX_COMMAND:
-        raise InputError(f"A command has {len(text)} characters. Allowed: {MAX_COMMAND}.")
-    plain = decode_json(text, "The command")
-    if not isinstance(plain, dict) or not isinstance(plain.get("command"), str):
-        raise InputError("The message is no command. Allowed: a JSON object with a command.")
-    number, name = plain.pop("id", 0), plain.pop("command")
-    if type(number) is not int or not 0 <= number < 2**53:
-        raise InputError("id of a command is invalid. Allowed: a whole number from 0.")
-    if name not in known:
-        raise UnknownNameError("command", name[:40], known)
-    return number, from_plain(known[name], plain, at=name)
 
 
 @dataclass(frozen=True)

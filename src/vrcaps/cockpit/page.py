@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.cockpit.messages import (
+    MAX_COMMAND,
     Acknowledgement,
     Command,
     FrameView,
@@ -20,10 +21,11 @@ from vrcaps.cockpit.messages import (
     Setup,
     Status,
     encode,
-    parse_command,
 )
 from vrcaps.cockpit.scene.viewpoint import frame_box, scene_clients, viewpoint_of
-from vrcaps.core.errors import InputError, VrcapsError
+from vrcaps.config.convert import from_plain
+from vrcaps.config.plain_files import decode_json
+from vrcaps.core.errors import InputError, UnknownNameError, VrcapsError
 
 if TYPE_CHECKING:
     import viser
@@ -52,6 +54,33 @@ class FieldError(InputError):
 
 Handler = Callable[[int, Any], Callable[[], None] | None]
 """Processes a command of a browser; may return a function that continues in its own thread."""
+
+
+def parse_command(text: str | bytes, known: Mapping[str, type[Command]]) -> tuple[int, Command]:
+    """Parse and check a command.
+
+    Args:
+        text: Message of a browser.
+        known: Commands by name.
+
+    Returns:
+        Its ID, and the command.
+
+    Raises:
+        InputError: If it is not a command, or a value is not allowed.
+        UnknownNameError: If there is no such command.
+    """
+    if len(text) > MAX_COMMAND:
+        raise InputError(f"A command has {len(text)} characters. Allowed: {MAX_COMMAND}.")
+    plain = decode_json(text, "The command")
+    if not isinstance(plain, dict) or not isinstance(plain.get("command"), str):
+        raise InputError("The message is no command. Allowed: a JSON object with a command.")
+    number, name = plain.pop("id", 0), plain.pop("command")
+    if type(number) is not int or not 0 <= number < 2**53:
+        raise InputError("id of a command is invalid. Allowed: a whole number from 0.")
+    if name not in known:
+        raise UnknownNameError("command", name[:40], known)
+    return number, from_plain(known[name], plain, at=name)
 
 
 class Page:

@@ -21,9 +21,10 @@ from vrcaps.cockpit.driving.drive_setup import QUANTITIES, Readings, limit_text,
 from vrcaps.cockpit.driving.new_drive import next_scenario
 from vrcaps.cockpit.episode_page import EpisodePage
 from vrcaps.cockpit.messages import NewDrive, Severity
-from vrcaps.cockpit.page import FieldError
+from vrcaps.cockpit.page import FieldError, parse_command
 from vrcaps.cockpit.session.drive import cockpit_scenario
 from vrcaps.cockpit.session.seen_wall import _segments
+from vrcaps.cockpit.session.session import Session
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.magnet.sources import Sphere
 from vrcaps.scenario.scenario import OrganGenerated, Scenario
@@ -107,10 +108,33 @@ def test_a_page_of_coils_shows_currents_and_temperatures(drive_scenario, tmp_pat
         assert setup["newDrive"]["coils"] == "table-3x3"
         session.operator.push(np.array([0.0, 0, 1.0, 0, 0, 0]))
         wait_until(lambda: max(abs(current) for current, _ in page.status()["coils"]) > 1.0)
+        set_current = page._handlers[messages.SetCurrent]
+        set_current(1, messages.SetCurrent(3, 12.5))
+        assert page.status()["setCurrents"] == [0.0, 0.0, 12.5, *[0.0] * 6]
+        with pytest.raises(InputError, match=r"current of coil 3 is 61 A\. Allowed: -60 to 60 A"):
+            set_current(1, messages.SetCurrent(3, 61.0))
         page.scene.pace.interval = 0.0
         page.update()
         low, high = page.box("all")
         assert low[2] < session.rollout.coils.T_world_array[2, 3] < high[2]
+
+
+def test_a_current_is_set_only_by_the_driver_and_only_with_coils(drive_scenario, tmp_path):
+    known = {messages.SetCurrent.name: messages.SetCurrent}
+    text = '{"id": 4, "command": "set-current", "coil": 2, "current": -3.5}'
+    assert parse_command(text, known) == (4, messages.SetCurrent(2, -3.5))
+    assert messages.SetCurrent.by_driver
+    for given, allowed in (
+        ('65, "current": 1', "coil"),
+        ('2, "current": "much"', "current"),
+        ("2", "current"),
+    ):
+        with pytest.raises(InputError, match=allowed) as caught:
+            parse_command(f'{{"command": "set-current", "coil": {given}}}', known)
+        assert "\n" not in str(caught.value)
+    session = Session(drive_scenario, tmp_path / "drive")
+    with pytest.raises(InputError, match=r"coil is 1\. Allowed: none: a magnet is driven"):
+        session.operator.set_current(1, 1.0)
 
 
 def test_names_that_are_not_offered_are_refused():

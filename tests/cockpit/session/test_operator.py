@@ -124,3 +124,42 @@ def test_says_what_cannot_drive(rollout):
         PolicyDriver(f"{__name__}:WrenchOnly", rollout, posture="supine")
     with pytest.raises(UnknownNameError, match="No policy named 'autopilot'"):
         PolicyDriver("autopilot", rollout, posture="supine")
+
+
+def coil_operator() -> Operator:
+    array = SimpleNamespace(values=lambda name: np.array([60.0, 5.0]))
+    return Operator(SimpleNamespace(array=array))  # type: ignore[arg-type]
+
+
+def test_currents_hold_until_axes_or_a_stop_and_are_logged_once():
+    operator = coil_operator()
+    assert operator.columns[-2:] == ("coil_1_a", "coil_2_a")
+    operator.push(np.array([1.0, 0, 0, 0, 0, 0]))
+    operator.set_current(2, -5.0)
+    assert operator.is_steering
+    assert [operator(t, 0.1).currents for t in (-0.1, 0.0, 0.1)] == [(0.0, 0.0)] + [(0.0, -5.0)] * 2
+    operator.push(np.zeros(6))  # keys are released
+    assert operator(0.2, 0.1).currents == (0.0, -5.0)
+    operator.push(np.array([0.5, 0, 0, 0, 0, 0]))
+    assert operator(0.3, 0.1).currents == (0.0, 0.0)
+    operator.set_current(1, 60.0)
+    operator.stop()
+    assert not operator.is_steering
+    operator(0.4, 0.1)
+    _, commands = operator.commands()
+    assert [(c.time, c.linear[0], c.currents[1]) for c in commands] == [
+        (0.0, 0.0, -5.0),
+        (0.3, 0.5, 0.0),
+        (0.4, 0.0, 0.0),
+    ]
+
+
+def test_a_current_beyond_its_limit_is_one_line():
+    operator = coil_operator()
+    for current in (5.1, -6.0, np.nan):
+        with pytest.raises(InputError, match=r"current of coil 2 is .* A\. Allowed: -5 to 5 A\.$"):
+            operator.set_current(2, current)
+    for coil in (0, 3):
+        with pytest.raises(InputError, match=rf"^coil is {coil}\. Allowed: 1 to 2\.$"):
+            operator.set_current(coil, 1.0)
+    assert not operator.currents.any()

@@ -204,7 +204,7 @@ def test_a_full_disk_is_told_and_the_next_save_writes_all(drive_scenario, tmp_pa
 
 @pytest.mark.slow
 def test_a_drive_by_coils_is_recorded_again_to_the_same_bytes(drive_scenario, tmp_path):
-    """The axes are a force and a torque; nothing can be dragged."""
+    """The axes are a force and a torque, or currents are set; nothing can be dragged."""
     motion = replace(
         drive_scenario.motion, magnet=None, coils=CoilSteering(), dynamics="quasi-static"
     )
@@ -219,11 +219,20 @@ def test_a_drive_by_coils_is_recorded_again_to_the_same_bytes(drive_scenario, tm
         assert view.coils.state.temperatures.max() > 25.0
         with pytest.raises(InputError, match=r"Coils have no magnet to drag\. Use the keys"):
             session.operator.drag(np.eye(4))
-        session.operator.stop()
+        session.operator.set_current(2, -30.0)
         run_to(session, 6)
+        assert session.view.coils.commands[1] == -30.0
+        assert not np.delete(session.view.coils.commands, 1).any()
+        session.operator.stop()
+        run_to(session, 8)
         driven = session.poses
+    header = (tmp_path / "drive" / "commands.csv").read_text().splitlines()[0]
+    assert header.endswith(
+        "angular_z,coil_1_a,coil_2_a,coil_3_a,coil_4_a,coil_5_a,coil_6_a,coil_7_a,coil_8_a,coil_9_a"
+    )
     out = record(read_scenario(tmp_path / "drive" / "drive.json"), tmp_path / "episode")
     columns = read_episode(out).table.columns
+    assert -30.0 in columns["coil_2_command_a"]
     recorded = np.transpose([columns[f"capsule_{axis}_m"] for axis in "xyz"])
     np.testing.assert_array_equal(recorded, driven[:, :3, 3])
     assert np.abs(columns["coil_5_current_a"]).max() > 0.0

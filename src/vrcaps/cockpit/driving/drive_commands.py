@@ -130,6 +130,7 @@ def drive_handlers(parts: DriveParts) -> dict[type[messages.Command], Handler]:
     changes = _Changes(parts)
     return {
         messages.Steer: lambda client, command: None,  # executed at once
+        messages.SetCurrent: lambda client, given: operator.set_current(given.coil, given.current),
         messages.Pause: lambda client, command: clock.pause(),
         messages.Resume: lambda client, command: clock.run(),
         messages.StepFrame: lambda client, command: session.step_frame(),

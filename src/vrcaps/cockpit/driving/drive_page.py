@@ -238,6 +238,7 @@ class DrivePage(Page):
             "lost": lost_text(view.lost),
             "isSteering": is_moved,
             "coils": [] if coils is None else _rows(coils.currents, coils.temperatures),
+            "setCurrents": self.session.operator.currents.tolist(),
         }
 
     def _settings(self) -> dict[str, Any]:

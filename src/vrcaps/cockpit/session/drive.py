@@ -9,7 +9,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vrcaps.actuation.steering_program import JOYSTICK_COLUMNS, JoystickCommand, MagnetSteering
+from vrcaps.actuation.coil_program import CoilCommand
+from vrcaps.actuation.steering_program import JoystickCommand, MagnetSteering
 from vrcaps.camera_pipeline.effect.base import ImageEffect
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES
 from vrcaps.capsule.device_file import device_names, read_device
@@ -98,7 +99,7 @@ class Drive:
             num_rewound, commands = self._operator.commands(self._num_saved)
             if num_rewound != self._num_rewound:
                 _, commands = self._operator.commands()
-                header = ",".join(JOYSTICK_COLUMNS) + "\n"
+                header = ",".join(self._operator.columns) + "\n"
                 write_bytes(self.folder / COMMANDS_CSV, (header + _lines(commands)).encode())
                 self._num_saved, self._num_rewound = len(commands), num_rewound
             elif commands:
@@ -125,7 +126,11 @@ class Drive:
 
 def _lines(commands: list[JoystickCommand]) -> str:
     """Rows of a table of commands; each value is read back exactly."""
-    rows = [(entry.time, *entry.linear, *entry.angular) for entry in commands]
+    rows = [
+        (*(entry.time, *entry.linear, *entry.angular), *currents)
+        for entry in commands
+        for currents in [entry.currents if isinstance(entry, CoilCommand) else ()]
+    ]
     return "".join(",".join(map(repr, row)) + "\n" for row in rows)
 
 

@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.actuation.steering_program import JoystickCommand, SteeringProgram
+from vrcaps.actuation.coil_program import CoilCommand, coil_command_columns
+from vrcaps.actuation.steering_program import (
+    JOYSTICK_COLUMNS,
+    JoystickCommand,
+    SteeringProgram,
+)
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError, VrcapsError
 from vrcaps.core.geometry import vector_from_rotation
@@ -25,7 +30,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
     from vrcaps.actuation.coil_program import CoilProgram
-    from vrcaps.actuation.steering_program import SteeringProgram
     from vrcaps.motion.rollout import Rollout
 
 
@@ -34,7 +38,8 @@ class Operator:
 
     All kinds of input end in axes from −1 to 1, like those of a joystick: keys and pad give them
     directly; a dragged magnet follows the pose by the axes that lead to it at the maximum speed; a
-    policy gives its own until there is human input. A command is logged only if it differs from the
+    policy gives its own until there is human input. Currents of coils can be set instead of axes;
+    the later input counts. A command is logged only if it differs from the
     previous one, with its start time. Played back as `MagnetSteering.joystick`, the log gives the
     same drive.
     """
@@ -43,6 +48,9 @@ class Operator:
         self._program = program
         self._lock = threading.Lock()
         self._axes = np.zeros(6)
+        is_magnet = isinstance(program, SteeringProgram)
+        self._most = np.zeros(0) if is_magnet else program.array.values("max_current")
+        self._currents = np.zeros(len(self._most))
         self._target: Float[np.ndarray, "4 4"] | None = None
         self._is_dragging = False
         self._driver: PolicyDriver | None = None
@@ -56,8 +64,19 @@ class Operator:
 
     @property
     def is_steering(self) -> bool:
-        """True while keys, a pad or a dragged pose move the magnet."""
-        return self._target is not None or bool(self._axes.any())
+        """True while keys, a pad, a dragged pose or set currents act."""
+        return self._target is not None or bool(self._axes.any() or self._currents.any())
+
+    @property
+    def currents(self) -> Float[np.ndarray, " k"]:
+        """Set current of each coil [A]; zeros while axes or none are given."""
+        return self._currents.copy()
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of a file of the commands."""
+        has_coils = len(self._most) > 0
+        return coil_command_columns(len(self._most)) if has_coils else JOYSTICK_COLUMNS
 
     @property
     def policy(self) -> str:
@@ -87,6 +106,29 @@ class Operator:
             self._axes = given
             if given.any():
                 self._target = self._driver = None
+                self._currents = np.zeros(len(self._most))
+
+    def set_current(self, coil: int, current: float) -> None:
+        """Set the current of a coil, held until axes are given or `stop`; axes are released.
+
+        Args:
+            coil: Number of the coil, from 1.
+            current: Current [A].
+
+        Raises:
+            InputError: If there is no such coil, or the current is beyond its limit.
+        """
+        if not 1 <= coil <= len(self._most):
+            allowed = f"1 to {len(self._most)}" if len(self._most) else "none: a magnet is driven"
+            raise InputError(f"coil is {coil}. Allowed: {allowed}.")
+        most = float(self._most[coil - 1])
+        if not abs(current) <= most:
+            raise InputError(
+                f"The current of coil {coil} is {current:g} A. Allowed: {-most:g} to {most:g} A."
+            )
+        with self._lock:
+            self._currents[coil - 1] = current
+            self._axes = np.zeros(6)
 
     def drag(self, T_world_magnet: Float[np.ndarray, "4 4"], *, is_dragging: bool = True) -> None:
         """Move the magnet to a pose, as close as its workspace allows.
@@ -108,6 +150,7 @@ class Operator:
         """Release all input: the requested pose of the magnet stays the same."""
         with self._lock:
             self._axes, self._target, self._driver = np.zeros(6), None, None
+            self._currents = np.zeros(len(self._most))
 
     def __call__(self, time: float, dt: float) -> JoystickCommand:
         """Command at a time [s] for the next `dt` [s]; logged from the first frame on."""
@@ -115,8 +158,13 @@ class Operator:
             axes = np.zeros(6) if time < 0.0 else self._axes_now(time, dt)
             linear, angular = tuple(axes[:3].tolist()), tuple(axes[3:].tolist())
             command = JoystickCommand(time, linear, angular)  # type: ignore[arg-type]
+            if len(self._most):
+                currents = (
+                    tuple(self._currents.tolist()) if time >= 0.0 else (0.0,) * len(self._most)
+                )
+                command = CoilCommand(time, linear, angular, currents)  # type: ignore[arg-type]
             last = self._log[-1] if self._log else None
-            if time >= 0.0 and (last is None or (last.linear, last.angular) != (linear, angular)):
+            if time >= 0.0 and (last is None or replace(last, time=time) != command):
                 self._log.append(command)
             return command
 

@@ -101,10 +101,9 @@ function buildCoils() {
   const { coils } = setup, has = coils.length > 0, name = (magnet, other) => (has ? other : magnet);
   setHidden($("coils"), !has);
   setText($("coils-max"), has ? `${Math.max(...coils.map((coil) => coil.maxCurrent))} A` : "");
-  $("coil-rows").replaceChildren(...coils.map((_, k) => {
-    const row = element("tr", {});
-    row.append(element("th", { scope: "row", textContent: String(k + 1) }), element("td", {}), element("td", {}));
-    return row;
+  $("coil-rows").replaceChildren(...coils.map((coil, k) => {
+    const label = element("label", { htmlFor: `coil-${k + 1}` }, element("span", { className: "visually-hidden", textContent: "Set current of coil " }), String(k + 1), element("span", { className: "visually-hidden", textContent: " in ampere" }));
+    return element("tr", {}, element("th", { scope: "row" }, label), element("td", {}, ...coilSlider(coil, k)), element("td", {}), element("td", {}));
   }));
   setText($("limited"), name("Magnet", "Coils"));
   setText($("keys-move-text"), name("Move, turn", "Pull, torque"));
@@ -115,13 +114,36 @@ function buildCoils() {
   $("keys-tilt").setAttribute("aria-label", name("Tilt the magnet", "Tilt the capsule by the coils"));
 }
 
+/** Slider of a coil's current; while it moves, one command at a time is on its way. */
+function coilSlider({ maxCurrent }, k) {
+  const input = element("input", { type: "range", id: `coil-${k + 1}`, min: -maxCurrent, max: maxCurrent, step: maxCurrent / 60, value: 0, "data-driver": "", "aria-describedby": "coils-hint" });
+  let sent = null, isBusy = false;
+  const send = async () => {
+    if (isBusy || sent === input.value) return;
+    isBusy = true;
+    sent = input.value;
+    const answer = await sendFrom(input, connection, "set-current", { coil: k + 1, current: Number(input.value) });
+    isBusy = false;
+    if (answer.error) delete input.dataset.touched;
+    else send();
+  };
+  input.addEventListener("input", () => { touch(input); setText(input.nextElementSibling, amperes(input.value)); send(); });
+  input.addEventListener("change", () => { sent = null; send(); });
+  return [input, element("output", { for: input.id, textContent: amperes(0) })];
+}
+
+const amperes = (value) => `${Number(value).toFixed(1)} A`;
+
 function showCoils() {
   const rows = $("coil-rows").children;
   (status.coils ?? []).slice(0, rows.length).forEach(([current, temperature], k) => {
-    const { maxCurrent, maxTemperature } = setup.coils[k], [, amperes, degrees] = rows[k].children;
-    setText(amperes, `${current.toFixed(1)} A`);
+    const { maxCurrent, maxTemperature } = setup.coils[k], [, set, actual, degrees] = rows[k].children, [slider, value] = set.children;
+    show(slider, status.setCurrents[k]);
+    setText(value, amperes(slider.value));
+    slider.setAttribute("aria-valuetext", amperes(slider.value));
+    setText(actual, amperes(current));
     setText(degrees, `${temperature.toFixed(1)} of ${maxTemperature} °C`);
-    amperes.classList.toggle("warn", Math.abs(current) > 0.95 * maxCurrent);
+    actual.classList.toggle("warn", Math.abs(current) > 0.95 * maxCurrent);
     degrees.classList.toggle("warn", temperature > 0.9 * maxTemperature);
   });
 }

@@ -408,7 +408,7 @@ def test_stages_are_the_same_bytes_on_any_number_of_threads() -> None:
         return run.stdout
 
     assert Path(_core.__file__).exists()
-    assert digest("1") == digest("2") == digest("5")
+    assert digest("1") == digest("3")
 
 
 def blur(f, lit: tuple[int, ...], motion: tuple[int, ...]):

@@ -327,11 +327,11 @@ def test_same_bytes_with_any_number_of_threads():
         "import numpy as np; from vrcaps.magnet.field import field;"
         "from vrcaps.magnet.sources import Coil, Cylinder, Dipole; rng = np.random.default_rng(0);"
         "s = [Cylinder(0.1, 0.1, 1.4), Coil(0.05, 3.0), Dipole(1.0)];"
-        "b, g = field(s, rng.uniform(0.1, 1, (5000, 3)));"
+        "b, g = field(s, rng.uniform(0.1, 1, (2000, 3)));"
         "import hashlib; print(hashlib.sha256(b.tobytes() + g.tobytes()).hexdigest())"
     )
     results = set()
-    for threads in ("1", "2", "5"):
+    for threads in ("1", "3"):
         done = run_program(code, environment={"RAYON_NUM_THREADS": threads})
         assert done.returncode == 0, done.stderr
         results.add(done.stdout)

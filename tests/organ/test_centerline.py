@@ -187,8 +187,8 @@ def test_loops_that_all_but_touch_are_not_cut_short():
 @pytest.mark.parametrize(
     ("name", "length"),
     [
-        ("colon_GI1_mm", 1.65),
-        ("stomach_A_mm", 0.125),
+        pytest.param("colon_GI1_mm", 1.65, marks=pytest.mark.validation),
+        pytest.param("stomach_A_mm", 0.125, marks=pytest.mark.validation),
         ("stomach_C_mm", 0.077),
     ],
 )

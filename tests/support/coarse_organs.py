@@ -35,9 +35,9 @@ _NAMES = {
 """Seeds and distensions of the organs of pages, notebooks and examples."""
 
 
-@pytest.fixture(scope="package", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def coarse_textures() -> Iterator[None]:
-    """Textures are coarse, for the conftest of a folder."""
+    """Textures are coarse in the modules of a folder whose conftest imports this."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("vrcaps.mucosa.bake.DEFAULT_TEXELS_PER_MM", TEXELS_PER_MM)
         patch.setattr("vrcaps.organ.uv._RESOLUTION", ATLAS)

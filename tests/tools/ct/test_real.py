@@ -20,6 +20,7 @@ from vrcaps.tools.ct.volume import Volume, common_part
 ML = 1e-6
 
 
+@pytest.mark.validation
 def test_visible_human_pelvis(shared_data: Path, tmp_path: Path) -> None:
     """Every gas-filled piece of bowel, in the bones' midst, but neither bone nor outside air."""
     with tarfile.open(shared_data / "ct" / "vhm_pelvis_140_dicom.tar.gz") as archive:
@@ -58,7 +59,15 @@ def overlap(shared_data: Path) -> tuple[Volume, Volume]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("label", ["colon", "stomach", "duodenum", "small_bowel"])
+@pytest.mark.parametrize(
+    "label",
+    [
+        pytest.param("colon", marks=pytest.mark.validation),
+        "stomach",
+        "duodenum",
+        pytest.param("small_bowel", marks=pytest.mark.validation),
+    ],
+)
 def test_labels_where_they_overlap_the_scan(overlap: tuple[Volume, Volume], label: str) -> None:
     part, labels = overlap
     assert part.values.shape == labels.values.shape == (30, 101, 122)

@@ -24,7 +24,7 @@ from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import Scenario
-from vrcaps.tools.scene import Scene, scene_of, write_scene
+from vrcaps.tools.scene import PosedArm, Scene, scene_of, write_scene
 
 pytestmark = pytest.mark.slow  # of the recording with an arm
 
@@ -85,6 +85,18 @@ def test_mujoco_has_the_same_poses_and_masses(scene, tmp_path):
     inertia = np.sort(np.diag(scene.capsule.inertia))[::-1]
     np.testing.assert_allclose(model.body("capsule").inertia, inertia, rtol=1e-12)
     assert model.njnt == 8
+    masses = scene.arm.masses()
+    stated = sum(each.mass for each in scene.arm.arm.masses)
+    assert stated == pytest.approx(
+        0.629769 + 4.970684 + 0.646926 + 3.228604 + 3.587895 + 1.225946 + 1.666555 + 0.735522
+    )
+    total = scene.capsule.mass + scene.magnet.mass + stated
+    assert mujoco.mj_getTotalmass(model) == pytest.approx(total, rel=1e-12)
+    for k in range(1, 8):
+        body = model.body(f"link_{k}")
+        np.testing.assert_allclose(body.ipos, masses[k].center, atol=1e-12)
+        moments = np.linalg.eigvalsh(masses[k].tensor)[::-1]
+        np.testing.assert_allclose(body.inertia, moments, rtol=1e-8)
     geom = model.geom("wall")
     vertices = (
         model.mesh_vert[: len(scene.wall.vertices)]
@@ -132,7 +144,8 @@ def test_usd_has_the_same_poses_and_masses(scene, tmp_path, suffix):
     for name, pose, mass in (
         ("capsule", scene.T_world_capsule, scene.capsule.mass),
         ("magnet", scene.magnet.T_world_magnet, scene.magnet.mass),
-        ("link_4", scene.arm.T_world_base @ placed[3], scene.arm.masses()[3]),
+        ("base", scene.arm.T_world_base, 0.629769),
+        ("link_4", scene.arm.T_world_base @ placed[3], 3.587895),
         ("flange", scene.arm.T_world_base @ placed[-1], None),
     ):
         prim = stage.GetPrimAtPath(f"/scene/{name}")
@@ -141,11 +154,52 @@ def test_usd_has_the_same_poses_and_masses(scene, tmp_path, suffix):
         if mass is not None:
             stated = UsdPhysics.MassAPI(prim).GetMassAttr().Get()
             assert stated == pytest.approx(mass, rel=1e-6)
+    link = UsdPhysics.MassAPI(stage.GetPrimAtPath("/scene/link_4"))
+    np.testing.assert_allclose(link.GetCenterOfMassAttr().Get(), (-0.05317, 0.104419, 0.027454))
+    turn = link.GetPrincipalAxesAttr().Get()
+    R = matrix_from_quaternion(np.array([turn.GetReal(), *turn.GetImaginary()], float))
+    tensor = R @ np.diag(link.GetDiagonalInertiaAttr().Get()) @ R.T
+    np.testing.assert_allclose(tensor, scene.arm.masses()[4].tensor, atol=1e-7)
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/scene/wall"))
     points = np.array(mesh.GetPointsAttr().Get())
     np.testing.assert_allclose(points, scene.wall.vertices, atol=1e-6)
     shell = UsdGeom.Capsule(stage.GetPrimAtPath("/scene/capsule/shell"))
     assert shell.GetHeightAttr().Get() == pytest.approx(2 * scene.capsule.half_axis)
+
+
+@pytest.mark.parametrize("name", ["ur5", "xarm7"])
+def test_the_mass_matrix_of_an_arm_from_a_urdf_is_pinocchios(scene, tmp_path, name):
+    """Masses, centers and inertias from the URDF, through the MJCF, at an angle of every joint."""
+    mujoco, pinocchio = pytest.importorskip("mujoco"), pytest.importorskip("pinocchio")
+    from tests.actuation.arm.test_urdf import FILES, read
+
+    arm, count = read(name), FILES[name][2]
+    angles = np.linspace(-0.4, 0.9, count).clip(arm.lower, arm.upper)
+    posed = replace(scene, magnet=None, arm=PosedArm(arm, np.eye(4), angles))
+    model = mujoco.MjModel.from_xml_path(str(write_scene(posed, tmp_path / "arm.xml")))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    matrix = np.zeros((model.nv, model.nv))
+    for column, unit in zip(matrix, np.eye(model.nv), strict=True):
+        mujoco.mj_mulM(model, data, column, unit)
+    theirs = pinocchio.buildModelFromUrdf(str(FILES[name][0]))
+    locked = [theirs.getJointId(joint) for joint in list(theirs.names)[count + 1 :]]
+    theirs = pinocchio.buildReducedModel(theirs, locked, pinocchio.neutral(theirs))
+    expected = pinocchio.crba(theirs, theirs.createData(), angles)
+    expected = np.triu(expected) + np.triu(expected, 1).T
+    np.testing.assert_allclose(matrix[6:, 6:], expected, atol=1e-9)
+
+
+def test_links_without_a_stated_mass_have_that_of_their_capsules(scene):
+    bare = replace(scene.arm, arm=replace(scene.arm.arm, masses=scene.arm.arm.masses[1:3]))
+    masses = bare.masses()
+    assert masses[1].mass == 4.970684
+    assert 0 not in masses
+    r, h = 0.06, 0.15
+    one = 1000.0 * np.pi * r**2 * (h + 4.0 / 3.0 * r)
+    assert masses[3].mass == pytest.approx(one)
+    np.testing.assert_allclose(masses[3].tensor, 0.01 * one * np.eye(3))
 
 
 def test_what_cannot_be_written_is_one_line(episode, scene, tmp_path):

@@ -17,6 +17,7 @@ import numpy as np
 
 from vrcaps.actuation.arm.arm import Arm, frames, read_arm
 from vrcaps.actuation.arm.arm_with_payload import transverse_mount
+from vrcaps.actuation.arm.chain import LinkMass
 from vrcaps.actuation.steering_program import base_beside
 from vrcaps.capsule.device import Body, homogeneous_body
 from vrcaps.core.errors import InputError, import_extra, require
@@ -34,8 +35,8 @@ if TYPE_CHECKING:
     from vrcaps.recording.episode import Episode
 
 LINK_DENSITY = 1000.0
-"""Density of an arm's collision capsules, of which the masses of its links are made [kg/m³]: an
-assumption, as arms state no masses here."""
+"""Density of the collision capsules of links whose mass an arm does not state [kg/m³], an
+assumption."""
 _MIN_MASS = 0.1
 _WALL_COLOR, _CAPSULE_COLOR, _MAGNET_COLOR, _LINK_COLOR = (
     (0.86, 0.55, 0.5, 0.35),
@@ -59,14 +60,16 @@ class PosedArm:
     T_world_base: Float[np.ndarray, "4 4"]
     angles: Float[np.ndarray, " j"]
 
-    def masses(self) -> list[float]:
-        """Mass of the links at each joint frame and the flange [kg], see `LINK_DENSITY`."""
-        sums = [0.0] * (self.arm.num_joints + 2)
+    def masses(self) -> dict[int, LinkMass]:
+        """Masses by frame: those that the arm states, for other joints see `LINK_DENSITY`."""
+        sums = dict.fromkeys(range(1, self.arm.num_joints + 1), 0.0)
         for link in self.arm.links:
             length = math.dist(link.start, link.end)
             volume = math.pi * link.radius**2 * (length + 4.0 / 3.0 * link.radius)
-            sums[link.frame] += LINK_DENSITY * volume
-        return [max(mass, _MIN_MASS) for mass in sums[1:-1]]
+            if link.frame in sums:
+                sums[link.frame] += LINK_DENSITY * volume
+        assumed = {k: LinkMass(k, max(mass, _MIN_MASS)) for k, mass in sums.items()}
+        return assumed | {each.frame: each for each in self.arm.masses}
 
 
 @dataclass(frozen=True)
@@ -173,7 +176,7 @@ def _write_mjcf(scene: Scene, path: Path) -> None:
         scene.capsule,
     )
     _add(body, "freejoint", name="capsule")
-    _add_inertia(body, shape.mass, np.diag(shape.inertia))
+    _add_inertia(body, shape.mass, shape.inertia)
     size = (shape.radius, max(shape.half_axis, 1e-6))
     _add(body, "geom", name="capsule", type="capsule", size=size, rgba=_CAPSULE_COLOR)
     holder: Any = world
@@ -190,7 +193,7 @@ def _write_mjcf(scene: Scene, path: Path) -> None:
         if scene.arm is not None:
             extra, pose = {}, transverse_mount(scene.magnet)
         magnet = _add(holder, "body", name="magnet", **_place(pose), **extra)
-        inertia = scene.magnet.mass * np.diag(mesh.moment_inertia / mesh.mass)
+        inertia = scene.magnet.mass * np.diag(np.diag(mesh.moment_inertia / mesh.mass))
         _add_inertia(magnet, scene.magnet.mass, inertia)
         _add(magnet, "geom", name="magnet", type="mesh", mesh="magnet", rgba=_MAGNET_COLOR, **seen)
     ElementTree.indent(root)
@@ -201,27 +204,30 @@ def _free_position(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 7"]:
     return np.concatenate([pose[:3, 3], quaternion_from_matrix(pose[:3, :3])])
 
 
-def _add_inertia(body: Any, mass: float, diagonal: Float[np.ndarray, " 3"]) -> None:
-    _add(body, "inertial", pos=(0.0, 0.0, 0.0), mass=mass, diaginertia=diagonal)
+def _add_inertia(
+    body: Any, mass: float, tensor: Float[np.ndarray, "3 3"], center: Any = (0.0, 0.0, 0.0)
+) -> None:
+    rows = (*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2])
+    _add(body, "inertial", pos=center, mass=mass, fullinertia=rows)
 
 
 def _add_arm(world: Any, posed: PosedArm) -> Any:
     """Add the links of an arm at angle 0; return the flange's body."""
-    arm = posed.arm
+    arm, masses = posed.arm, posed.masses()
     zero = frames(arm, np.zeros(arm.num_joints))
-    holder = _add(world, "body", name="base", **_place(posed.T_world_base))
-    _add_links(holder, arm, 0)
-    before = np.eye(4)
-    for k, (joint, mass) in enumerate(zip(arm.joints, posed.masses(), strict=True)):
-        holder = _add(holder, "body", name=f"link_{k + 1}", **_place(invert(before) @ zero[k]))
-        limits = (joint.lower, joint.upper)
-        _add(holder, "joint", name=f"joint_{k + 1}", type="hinge", axis=(0, 0, 1), range=limits)
-        _add_inertia(holder, mass, np.full(3, mass * 0.01))
-        _add_links(holder, arm, k + 1)
-        before = zero[k]
-    flange = _add(holder, "body", name="flange", **_place(invert(before) @ zero[-1]))
-    _add_links(flange, arm, arm.num_joints + 1)
-    return flange
+    names = ["base", *(f"link_{k}" for k in range(1, arm.num_joints + 1)), "flange"]
+    holder, before = world, np.eye(4)
+    for k, (name, pose) in enumerate(zip(names, [np.eye(4), *zero], strict=True)):
+        place = posed.T_world_base if k == 0 else invert(before) @ pose
+        holder = _add(holder, "body", name=name, **_place(place))
+        if 0 < k <= arm.num_joints:
+            limits = (arm.joints[k - 1].lower, arm.joints[k - 1].upper)
+            _add(holder, "joint", name=f"joint_{k}", type="hinge", axis=(0, 0, 1), range=limits)
+        if k in masses:
+            _add_inertia(holder, masses[k].mass, masses[k].tensor, masses[k].center)
+        _add_links(holder, arm, k)
+        before = pose
+    return holder
 
 
 def _add_links(body: Any, arm: Arm, frame: int) -> None:
@@ -254,14 +260,16 @@ def _write_usd(scene: Scene, path: Path) -> None:
     gravity.CreateGravityMagnitudeAttr(GRAVITY)
     _add_mesh(pxr, stage, "/scene/wall", scene.wall.vertices, scene.wall.faces, _WALL_COLOR)
     body, pose = scene.capsule, scene.T_world_capsule
-    prim = _add_body(pxr, stage, "/scene/capsule", pose, body.mass, np.diag(body.inertia))
+    mass = (body.mass, body.inertia, (0.0, 0.0, 0.0))
+    prim = _add_body(pxr, stage, "/scene/capsule", pose, mass)
     physics.RigidBodyAPI.Apply(prim)
     _add_capsule(pxr, stage, "/scene/capsule/shell", 2.0 * body.half_axis, body.radius)
     if scene.magnet is not None:
         mesh = magnet_mesh(scene.magnet)
-        inertia = scene.magnet.mass * np.diag(mesh.moment_inertia / mesh.mass)
+        inertia = scene.magnet.mass * np.asarray(mesh.moment_inertia / mesh.mass)
         pose = np.asarray(scene.magnet.T_world_magnet, float)
-        _add_body(pxr, stage, "/scene/magnet", pose, scene.magnet.mass, inertia)
+        mass = (scene.magnet.mass, inertia, (0.0, 0.0, 0.0))
+        _add_body(pxr, stage, "/scene/magnet", pose, mass)
         vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
         _add_mesh(pxr, stage, "/scene/magnet/body", vertices, faces, _MAGNET_COLOR)
     if scene.arm is not None:
@@ -275,10 +283,12 @@ _MODULES = ("Gf", "Usd", "UsdGeom", "UsdPhysics", "Vt")
 def _add_usd_arm(pxr: dict[str, Any], stage: Any, posed: PosedArm) -> None:
     arm = posed.arm
     poses = [posed.T_world_base, *(posed.T_world_base @ frames(arm, posed.angles))]
-    masses = [_MIN_MASS, *posed.masses(), _MIN_MASS]
+    masses = posed.masses()
     names = ["base", *(f"link_{k}" for k in range(1, arm.num_joints + 1)), "flange"]
-    for frame, (name, pose, mass) in enumerate(zip(names, poses, masses, strict=True)):
-        _add_body(pxr, stage, f"/scene/{name}", pose, mass, np.full(3, mass * 0.01))
+    for frame, (name, pose) in enumerate(zip(names, poses, strict=True)):
+        own = masses.get(frame)
+        mass = None if own is None else (own.mass, own.tensor, own.center)
+        _add_body(pxr, stage, f"/scene/{name}", pose, mass)
         for k, link in enumerate(one for one in arm.links if one.frame == frame):
             start, end = np.array(link.start), np.array(link.end)
             at = np.eye(4)
@@ -297,14 +307,21 @@ def _add_body(
     stage: Any,
     path: str,
     pose: Float[np.ndarray, "4 4"],
-    mass: float,
-    inertia: Float[np.ndarray, " 3"],
+    mass: tuple[float, np.ndarray, tuple[float, float, float]] | None,
 ) -> Any:
+    """Add a body; its mass [kg], inertia [3 3] about its center, and center are in its frame."""
     xform = pxr["UsdGeom"].Xform.Define(stage, path)
     xform.AddTransformOp().Set(pxr["Gf"].Matrix4d(pose.T.tolist()))
-    mass_api = pxr["UsdPhysics"].MassAPI.Apply(xform.GetPrim())
-    mass_api.CreateMassAttr(float(mass))
-    mass_api.CreateDiagonalInertiaAttr(tuple(map(float, inertia)))
+    if mass is not None:
+        kilograms, tensor, center = mass
+        moments, axes = np.linalg.eigh(tensor)
+        axes[:, 2] *= np.sign(np.linalg.det(axes))
+        w, x, y, z = map(float, quaternion_from_matrix(axes))
+        mass_api = pxr["UsdPhysics"].MassAPI.Apply(xform.GetPrim())
+        mass_api.CreateMassAttr(float(kilograms))
+        mass_api.CreateCenterOfMassAttr(tuple(map(float, center)))
+        mass_api.CreateDiagonalInertiaAttr(tuple(map(float, moments)))
+        mass_api.CreatePrincipalAxesAttr(pxr["Gf"].Quatf(w, x, y, z))
     return xform.GetPrim()
 
 

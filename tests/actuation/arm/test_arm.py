@@ -241,6 +241,9 @@ def test_a_users_own_arm(six_joints: Arm):
 LINK = "\n[[links]]\nframe = {}\nstart_mm = [0, 0, 0]\nend_mm = [0, 0, 100]\nradius_mm = 40\n"
 
 
+MASS, NEXT = "[[masses]]\nframe = 2\n", "mass_kg = 1\n"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -269,16 +272,29 @@ LINK = "\n[[links]]\nframe = {}\nstart_mm = [0, 0, 0]\nend_mm = [0, 0, 100]\nrad
         ),
         (
             "theta_deg = 0",
-            "theta_deg = 0\nmass = 1",
-            "six.toml: unknown key joints[0].mass. Allowed: a_mm, d_mm",
+            "theta_deg = 0\nweight = 1",
+            "six.toml: unknown key joints[0].weight. Allowed: a_mm, d_mm",
         ),
         ("title", "title = ", "is not TOML"),
+        (
+            "[[joints]]",
+            f"{MASS}mass_kg = 0\n[[joints]]",
+            "masses[0]: mass is 0.0. Allowed: above 0.",
+        ),
+        (
+            "[[joints]]",
+            f"{MASS}mass_kg = 1\ninertia_kg_m2 = [1, 1, 3, 0, 0, 0]\n[[joints]]",
+            "masses[0]: inertia is (1.0, 1.0, 3.0, 0.0, 0.0, 0.0). Allowed: positive, and no",
+        ),
+        ("[[joints]]", f"{2 * (MASS + NEXT)}[[joints]]", "a frame has two masses. Allowed: one"),
     ],
 )
 def test_what_is_wrong_is_said(tmp_path, six_joints_text, old, new, message):
     assert old in six_joints_text
     path = tmp_path / "six.toml"
-    path.write_text(six_joints_text.replace(old, new) + LINK.format(1))
+    path.write_text(
+        six_joints_text.replace(old, new, -1 if "mass" not in new else 1) + LINK.format(1)
+    )
     with pytest.raises(InputError, match=re.escape(message)) as caught:
         read_arm(path)
     assert "\n" not in str(caught.value)

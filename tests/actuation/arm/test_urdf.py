@@ -100,6 +100,31 @@ CHAIN = """<robot name="two"><link name="base"/><link name="arm"/><link name="ha
 <origin xyz="0.2 0 0"/><limit lower="0.5" upper="2" velocity="1" effort="5"/></joint></robot>"""
 
 
+INERTIAL = (
+    '<link name="hand"><inertial><origin xyz="0 0 1"/><mass value="{mass}"/>'
+    '<inertia ixx="{xx}" ixy="0" ixz="0" iyy="2" iyz="0" izz="2"/></inertial></link>'
+)
+
+
+def test_masses_fixed_to_one_frame_are_combined(tmp_path):
+    """2 kg at 1 m and 6 kg at −1 m of z; z of frame 2 points along −z of the link."""
+    more = INERTIAL.format(mass=6, xx=2).replace("0 0 1", "0 0 -1").replace("hand", "tip")
+    bare = '<link name="bare"><inertial><mass value="3"/></inertial></link>'
+    joint = '<joint name="{0}" type="fixed"><parent link="hand"/><child link="{0}"/></joint>'
+    text = CHAIN.replace('<link name="hand"/>', INERTIAL.format(mass=2, xx=2) + more)
+    text = text.replace('<link name="base"/>', '<link name="base"/>' + bare)
+    text = text.replace("</robot>", joint.format("tip") + joint.format("bare") + "</robot>")
+    (tmp_path / "two.urdf").write_text(text)
+    arm = arm_from_urdf(UrdfArm(str(tmp_path / "two.urdf"), tool="tip"), name="two")
+    (mass,) = arm.masses
+    assert (mass.frame, mass.mass) == (2, 8.0)
+    np.testing.assert_allclose(mass.center, (0.0, 0.0, 0.5), atol=1e-12)
+    spread = 4.0 + 2.0 * 1.5**2 + 6.0 * 0.5**2
+    np.testing.assert_allclose(mass.inertia, (spread, spread, 4.0, 0.0, 0.0, 0.0), atol=1e-12)
+    without = UrdfArm(str(tmp_path / "two.urdf"), tool="tip", masses=False)
+    assert arm_from_urdf(without, name="two").masses == ()
+
+
 def test_settings_of_a_toml_file_and_in_a_scenario(tmp_path):
     (tmp_path / "two.urdf").write_text(CHAIN)
     path = tmp_path / "mine.toml"
@@ -140,6 +165,16 @@ def test_settings_of_a_toml_file_and_in_a_scenario(tmp_path):
             '<link name="hand"><collision><geometry><mesh filename="/etc/passwd"/>'
             "</geometry></collision></link>",
             r"mesh /etc/passwd of link hand is missing",
+        ),
+        (
+            '<link name="hand"/>',
+            INERTIAL.format(mass=2, xx=9),
+            r"<inertial> after 2 joints: inertia is .* Allowed: positive, and no .* masses = false",
+        ),
+        (
+            '<link name="hand"/>',
+            INERTIAL.format(mass=-2, xx=1),
+            r"<inertial> after 2 joints: mass is -2\.0\. Allowed: above 0",
         ),
         ("</robot>", "", r"Cannot read the URDF file"),
         ("robot", "sdf", r"is no URDF\. Allowed: the element <robot>"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any
@@ -17,6 +18,8 @@ Vector = tuple[float, float, float]
 Row = tuple[float, float, float, float]
 Rows = tuple[Row, Row, Row]
 """First three rows of a pose."""
+_GYRATION = 0.1
+"""Radius of gyration of a link without a stated inertia [m]."""
 
 
 def _in(unit: str, **options: Any) -> Any:
@@ -88,6 +91,41 @@ class Link:
 
 
 @dataclass(frozen=True)
+class LinkMass:
+    """Mass of all that is fixed to a frame.
+
+    Attributes:
+        frame: Index of the frame: 0 for the base, then the joints, last the flange.
+        mass: Mass [kg].
+        center: Center of mass in that frame [m].
+        inertia: Inertia about the center in the axes of the frame, xx, yy, zz, xy, xz, yz [kg·m²];
+            None is a radius of gyration of 0.1 m, an assumption.
+    """
+
+    frame: Annotated[int, Range(min=0)]
+    mass: Annotated[float, Range(above=0.0, below=math.inf)] = _in("kg")
+    center: Vector = field(default=(0.0, 0.0, 0.0), metadata={"unit": "mm"})
+    inertia: tuple[float, float, float, float, float, float] | None = field(
+        default=None, metadata={"unit": "kg_m2"}
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        moments = np.linalg.eigvalsh(self.tensor)
+        is_possible = moments[0] > 0.0 and moments[2] <= (moments[0] + moments[1]) * (1.0 + 1e-9)
+        allowed = "positive, and no principal moment above the sum of the other two"
+        require(bool(is_possible), "inertia", self.inertia, allowed)
+
+    @property
+    def tensor(self) -> np.ndarray:
+        """Inertia about the center [3 3], in the axes of the frame [kg·m²]."""
+        if self.inertia is None:
+            return self.mass * _GYRATION**2 * np.eye(3)
+        xx, yy, zz, xy, xz, yz = self.inertia
+        return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+@dataclass(frozen=True)
 class Arm:
     """Robot arm with revolute joints from frame `base` to its end, `flange`.
 
@@ -103,6 +141,7 @@ class Arm:
         source: Source of the parameters.
         flange_rotation: Rows of the rotation from the flange to the last joint's frame; None if the
             axes are the same.
+        masses: Masses of links, one for a frame; those left out are unknown.
     """
 
     name: str
@@ -115,6 +154,7 @@ class Arm:
     collision_pairs: tuple[tuple[int, int], ...] = ()
     source: str = field(default="", compare=False)
     flange_rotation: tuple[Vector, Vector, Vector] | None = None
+    masses: tuple[LinkMass, ...] = ()
 
     def __post_init__(self) -> None:
         require(self.payload > 0.0, "payload", self.payload, "above 0 kg")
@@ -128,13 +168,15 @@ class Arm:
                 "limits. Allowed: from lower to upper."
             )
         check_pose(f"flange of arm {self.name}", self.T_joint_flange)
-        frames = [link.frame for link in self.links]
+        frames = [link.frame for link in (*self.links, *self.masses)]
         frames += [f for pair in self.collision_pairs for f in pair]
         if frames and not 0 <= min(frames) <= max(frames) <= n + 1:
             raise InputError(
-                f"Arm {self.name}: a link or pair names frame {max(frames)} or {min(frames)}. "
-                f"Allowed: 0 (base) to {n + 1} (flange)."
+                f"Arm {self.name}: a link, pair or mass names frame {max(frames)} or "
+                f"{min(frames)}. Allowed: 0 (base) to {n + 1} (flange)."
             )
+        if len({each.frame for each in self.masses}) < len(self.masses):
+            raise InputError(f"Arm {self.name}: a frame has two masses. Allowed: one for a frame.")
 
     @property
     def num_joints(self) -> int:

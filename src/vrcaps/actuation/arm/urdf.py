@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from vrcaps.actuation.arm.chain import Arm, Joint, Link
+from vrcaps.actuation.arm.chain import Arm, Joint, Link, LinkMass
 from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, import_extra, reading, require
 from vrcaps.core.geometry import transform_points
@@ -46,6 +46,7 @@ class UrdfArm:
         meshes: Folder of the packages of `package://` meshes; empty searches the folders above the
             file.
         collision: Whether collision capsules are made from the collision shapes of the links.
+        masses: Whether masses are read from the inertial elements of the links.
     """
 
     urdf: str
@@ -61,6 +62,7 @@ class UrdfArm:
     )
     meshes: str = ""
     collision: bool = True
+    masses: bool = True
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -70,11 +72,13 @@ def arm_from_urdf(settings: UrdfArm, *, name: str) -> Arm:
     """Convert the chain of turning joints from base to tool to an arm.
 
     Frame k of the arm has its origin in that of the URDF's joint k, and z along its axis. The
-    collision shapes of a link become one capsule that holds them.
+    collision shapes of a link become one capsule that holds them. Masses are those of the
+    <inertial> elements of the links from base to tool; other branches do not count.
 
     Raises:
         InputError: If the file is no URDF, has closed loops, the chain contains other joints than
-            revolute, continuous and fixed ones, a limit or mesh is missing, or a link is unknown.
+            revolute, continuous and fixed ones, a limit or mesh is missing, a link is unknown, or
+            an inertia is impossible.
         MissingExtraError: If yourdfpy is not installed.
     """
     path = Path(settings.urdf)
@@ -101,6 +105,7 @@ def arm_from_urdf(settings: UrdfArm, *, name: str) -> Arm:
         links=links,
         source=f"URDF {path.name}",
         flange_rotation=rotation,
+        masses=_masses(path, robot, offsets) if settings.masses else (),
     )
     return _with_pairs(arm)
 
@@ -239,6 +244,38 @@ def _capsules(path: Path, robot: Any, offsets: _Offsets, settings: UrdfArm) -> I
             points.setdefault(frame, []).append(transform_points(pose @ own, vertices))
     for frame, parts in sorted(points.items()):
         yield capsule_around(np.concatenate(parts), frame)
+
+
+def _masses(path: Path, robot: Any, offsets: _Offsets) -> tuple[LinkMass, ...]:
+    """Mass of the links that are fixed to each frame, where stated."""
+    parts: dict[int, list[tuple[float, np.ndarray, np.ndarray]]] = {}
+    for link in robot.links:
+        own = link.inertial
+        if link.name not in offsets or own is None or not own.mass:
+            continue
+        frame, pose = offsets[link.name]
+        pose = pose if own.origin is None else pose @ np.asarray(own.origin, float)
+        tensor = np.zeros((3, 3)) if own.inertia is None else np.asarray(own.inertia, float)
+        turn = pose[:3, :3]
+        parts.setdefault(frame, []).append((float(own.mass), pose[:3, 3], turn @ tensor @ turn.T))
+    masses = []
+    for frame, rows in sorted(parts.items()):
+        mass = sum(row[0] for row in rows)
+        center = np.sum([row[0] * row[1] for row in rows], axis=0) / mass
+        tensor = np.zeros((3, 3))
+        for part, at, own in rows:  # parallel axes
+            away = at - center
+            tensor += own + part * (away @ away * np.eye(3) - np.outer(away, away))
+        inertia: Any = (*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2])
+        inertia = tuple(map(float, inertia)) if tensor.any() else None
+        try:
+            masses.append(LinkMass(frame, mass, tuple(map(float, center)), inertia))
+        except InputError as error:
+            raise InputError(
+                f"{path}: <inertial> after {frame} joints: {error} Mend it, or give masses = false "
+                "in a TOML file with urdf."
+            ) from error
+    return tuple(masses)
 
 
 def _vertices(path: Path, link: str, shape: Any, settings: UrdfArm) -> Float[np.ndarray, "n 3"]:

@@ -41,13 +41,13 @@ _SWAY, _PITCHES = 8.0 * MM, (13 * MM, 18 * MM)
 """Amplitude and wavelengths / 2π of the course of the closed lumen about the centerline [m]."""
 _TONE_PITCHES = (26 * MM, 41 * MM)
 """Wavelengths / 2π of the tone, which shortens the funnel and narrows the lumen [m]."""
-_FLATNESS, _TWIST = 0.15, 20 * MM
+_FLATNESS, _TWIST = 0.5, 20 * MM
 """Relative difference between the diameters of the slit, and arc length of one radian of twist."""
-_PLEATS = (4, 5, 6)
+_PLEATS = (3, 5, 8)
 """Numbers of longitudinal pleats of a closed section, of which each stretch mixes two or three."""
-_PLEAT_PITCHES = (19 * MM, 31 * MM, 24 * MM)
+_PLEAT_PITCHES = (12 * MM, 9 * MM, 8 * MM)
 """Wavelengths / 2π of the amplitudes of these pleats along the gut [m]."""
-_PLEAT_SHARE, _PLEAT_LIMIT = 0.75, 0.8
+_PLEAT_SHARE, _PLEAT_LIMIT = 0.35, 0.8
 """Fraction of the excess perimeter that pleats take up, and their maximum amplitude relative to the
 mean radius."""
 _POCKET_PITCHES = (17 * MM, 27 * MM, 41 * MM)

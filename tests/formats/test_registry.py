@@ -1,5 +1,6 @@
 """Registry of formats: kinds, lazy imports, and a format that a user registers."""
 
+import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -115,3 +116,13 @@ def test_a_registered_format_cannot_replace_a_built_in_one():
 
     with pytest.raises(InputError, match="exists already"):
         FORMATS.register(Tum)
+
+
+def test_a_folder_of_episodes_is_a_source(pinhole_episode, tmp_path):
+    """Their contact sheets are not images of the source."""
+    for name in ("b", "a"):
+        shutil.copytree(pinhole_episode.path, tmp_path / name)
+        (tmp_path / name / "sheet.png").write_bytes(b"no image")
+    first, second = read_sources([str(tmp_path)])
+    assert len(first) == len(second) == len(pinhole_episode)
+    assert np.array_equal(first.image("rgb", 0), pinhole_episode.image("front", "rgb", 0))

@@ -144,22 +144,26 @@ def read_source(text: str) -> tuple[FrameSequence, ...]:
     """Return the sequences of a source.
 
     Args:
-        text: Folder or URL of an episode or a data set; a folder of images; or ``KIND:FOLDER`` for
-            a folder in the format KIND of `vrcaps export`, such as ``c3vd:/data/c3vd``.
+        text: Folder or URL of an episode or a data set; a folder of episodes or of images; or
+            ``KIND:FOLDER`` for a folder in the format KIND of `vrcaps export`, such as
+            ``c3vd:/data/c3vd``.
 
     Raises:
         InputError: If it cannot be read.
     """
-    kind, colon, folder = text.partition(":")
+    kind, colon, path = text.partition(":")
     if colon and kind in FORMATS:
-        return read_format(kind, folder)
-    return read_format("images", text) if _holds_images(Path(text)) else sequences_of(text)
+        return read_format(kind, path)
+    folder = Path(text)
+    if not folder.is_dir() or any((folder / name).exists() for name in (EPISODE_JSON, PLAN)):
+        return sequences_of(text)
+    if episodes := [head.parent for head in listed(folder, f"*/{EPISODE_JSON}")]:
+        return tuple(sequence for one in episodes for sequence in sequences_of(str(one)))
+    return read_format("images", text) if _holds_images(folder) else sequences_of(text)
 
 
 def _holds_images(folder: Path) -> bool:
-    """Return whether a folder contains images and is neither an episode nor a data set."""
-    if not folder.is_dir() or any((folder / name).exists() for name in (EPISODE_JSON, PLAN)):
-        return False
+    """Return whether a folder contains images."""
     paths = (path for depth in ("*", "*/*") for path in listed(folder, depth))
     return any(path.suffix.lower() in IMAGES for path in paths)
 

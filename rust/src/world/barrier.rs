@@ -1,9 +1,9 @@
-//! A barrier about the capsule's axis, through which no wall comes.
+//! Barrier about the capsule's axis that the wall cannot cross.
 //!
-//! Pressure on an area holds a capsule off a wall, but the crest of a fold has hardly any area: it
-//! would cut in as far as the axis, and then the wall's springs push to its wrong side. Nearer to
-//! the axis than a share of the capsule's radius a triangle is therefore a blow without bounce:
-//! impulses between the points where axis and triangle are closest take away the speed of approach.
+//! Pressure over an area keeps the capsule off a wall, but the crest of a fold has almost no area:
+//! it would cut in as far as the axis, and the wall's springs would then push to the wrong side. A
+//! triangle nearer to the axis than a fraction of the radius is therefore an inelastic contact:
+//! impulses between the closest points of axis and triangle remove the speed of approach.
 
 use super::body::{Axis, Body, Motion};
 use super::contact::Facet;
@@ -11,39 +11,39 @@ use super::contact_patch::FacetLoad;
 use super::solve::{Symmetric6, Twist, dot};
 use glam::DVec3;
 
-/// Radius of the barrier, as a share of the capsule's.
+/// Radius of the barrier, as a fraction of the capsule's.
 const SHARE: f64 = 0.2;
-/// Time in which what has come through is brought out again, or a longer substep [s].
+/// Time in which a penetration of the barrier is corrected, or the substep if that is longer [s].
 const RECOVERY: f64 = 5e-3;
-/// Give of an impulse, as a share of the capsule's own: keeps impulses small where walls on both
-/// sides leave too little room.
+/// Compliance of an impulse, as a fraction of the capsule's own: limits impulses where walls on
+/// both sides leave too little room.
 const GIVE: f64 = 0.2;
-/// Sweeps over all impulses.
+/// Number of Gauss-Seidel sweeps over all impulses.
 const SWEEPS: usize = 16;
-/// Closer than this, a direction is not known from the distance [m].
+/// Distance below which it does not determine a direction [m].
 const TOUCHING: f64 = 1e-9;
 
-/// A triangle within the barrier.
+/// Triangle within the barrier.
 struct Block {
     place: u32,
-    /// Where it is closest [m].
+    /// Point of the triangle closest to the axis [m].
     center: DVec3,
-    /// Unit vector from the axis to it.
+    /// Unit vector from the axis to `center`.
     normal: DVec3,
-    /// Its velocity [m/s].
+    /// Velocity of the triangle [m/s].
     velocity: DVec3,
-    /// Turns twists into speeds of approach.
+    /// Jacobian from twist to speed of approach.
     lever: [f64; 6],
     /// Change of twist by an impulse of 1 N·s.
     answer: [f64; 6],
-    /// Speed of approach to be taken away [m/s].
+    /// Speed of approach to be removed [m/s].
     excess: f64,
     /// Impulse [N·s].
     impulse: f64,
 }
 
-/// Keeps the triangles out of the barrier: adds to the `change` of twist of a substep of `dt` that
-/// `matrix` resists, and what it gave to the facet loads.
+/// Keeps the triangles out of the barrier: adds the impulses to the `change` of twist of a substep
+/// of `dt`, which `matrix` resists, and their loads to `facet_loads`.
 pub fn keep_out(
     (body, motion): (&Body, &Motion),
     facets: &[Facet],
@@ -77,7 +77,7 @@ pub fn keep_out(
 }
 
 impl Block {
-    /// What it carries over a substep of `dt`.
+    /// Load of the triangle over a substep of `dt`.
     fn facet_load(&self, dt: f64) -> FacetLoad {
         FacetLoad {
             place: self.place,
@@ -90,7 +90,7 @@ impl Block {
     }
 }
 
-/// A triangle as it meets the barrier, if it does.
+/// Contact of a triangle with the barrier, or `None` if it is outside.
 fn block(facet: &Facet, axis: &Axis, position: DVec3, radius: f64, recovery: f64) -> Option<Block> {
     let (on_axis, center) = closest(axis, facet.corners);
     let distance = (center - on_axis).length();
@@ -116,7 +116,7 @@ fn block(facet: &Facet, axis: &Axis, position: DVec3, radius: f64, recovery: f64
     })
 }
 
-/// Finds impulses, none of which pulls, that take away the excess; returns what they change.
+/// Solves for nonnegative impulses that remove the excess; returns the change of twist.
 fn settle(blocks: &mut [Block]) -> Twist {
     let mut change = [0.0; 6];
     for _ in 0..SWEEPS {
@@ -132,7 +132,7 @@ fn settle(blocks: &mut [Block]) -> Twist {
     Twist::from_array(change)
 }
 
-/// The closest points of the axis and of a triangle.
+/// Closest points of the axis and of a triangle.
 fn closest(axis: &Axis, corners: [DVec3; 3]) -> (DVec3, DVec3) {
     let [a, b, c] = corners;
     if let Some(through) = crossing(axis, corners) {
@@ -145,7 +145,7 @@ fn closest(axis: &Axis, corners: [DVec3; 3]) -> (DVec3, DVec3) {
     pairs.min_by(|p, q| square(p).total_cmp(&square(q))).expect("three edges")
 }
 
-/// Where the axis goes through a triangle, if it does.
+/// Intersection of the axis with a triangle, if any.
 fn crossing(axis: &Axis, corners: [DVec3; 3]) -> Option<DVec3> {
     let [a, b, c] = corners;
     let normal = (b - a).cross(c - a);
@@ -158,7 +158,7 @@ fn crossing(axis: &Axis, corners: [DVec3; 3]) -> Option<DVec3> {
     on_face(corners, through).map(|_| through)
 }
 
-/// The point of a triangle straight below `p`, if its face has one there.
+/// Orthogonal projection of `p` on a triangle, if it lies within the face.
 fn on_face([a, b, c]: [DVec3; 3], p: DVec3) -> Option<DVec3> {
     let normal = (b - a).cross(c - a);
     let side = |from: DVec3, to: DVec3| normal.dot((to - from).cross(p - from)) >= 0.0;
@@ -166,8 +166,8 @@ fn on_face([a, b, c]: [DVec3; 3], p: DVec3) -> Option<DVec3> {
     inside.then(|| p - normal * (normal.dot(p - a) / normal.length_squared()))
 }
 
-/// The closest points of the axis and of an edge (Ericson 2004, Real-Time Collision Detection,
-/// 5.1.9): first as for a whole line beside the axis, then each from the other's end.
+/// Closest points of the axis and of an edge (Ericson 2004, Real-Time Collision Detection, 5.1.9):
+/// first on the infinite line of the axis, then on each segment from the point on the other.
 fn between(axis: &Axis, from: DVec3, edge: DVec3) -> (DVec3, DVec3) {
     let (way, length) = (axis.start - from, edge.length_squared());
     let (across, along) = (axis.span.dot(edge), axis.span.length_squared());
@@ -198,7 +198,7 @@ mod tests {
         move || DVec3::new(next(), next(), next())
     }
 
-    /// Against the least distance over a fine grid of points of both.
+    /// Compares with the minimum distance over a fine grid of points of both.
     #[test]
     fn closest_points_of_axis_and_triangle() {
         let mut point = numbers();

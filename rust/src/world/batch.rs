@@ -1,4 +1,4 @@
-//! Several worlds in one call: stepped side by side, and read as arrays.
+//! Batches of worlds: parallel steps, and states as arrays.
 
 use super::binding::{World, busy, table};
 use super::parameters::{LOAD_ROW, load};
@@ -12,17 +12,17 @@ use numpy::{PyArray2, PyReadonlyArray2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// A world on its way: what one thread steps.
+/// Work of one thread: the step of one world.
 struct Task<'a> {
     stepper: &'a mut Stepper,
     wall: &'a mut Wall,
     layer: Option<&'a mut FemLayer>,
     load: Load,
-    /// Substeps, and how many steps a layer makes meanwhile.
+    /// Number of substeps and of steps of the layer.
     strides: (usize, usize),
 }
 
-/// Poses, motions, wrenches of the wall and the rest of the contact, a row for each world.
+/// Poses, motions, wrenches of the wall and remaining contact values, one row per world.
 type States<'py> = (
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray2<f64>>,
@@ -30,11 +30,11 @@ type States<'py> = (
     Bound<'py, PyArray2<f64>>,
 );
 
-/// Moves each world on by `dt`, as `World.step` does, on all threads.
+/// Advances each world by `dt`, as `World.step` does, on all threads.
 ///
-/// `loads` [n 10] are force [N], torque [N·m], gravity [m/s²] and damping [N·s/m], `strides` the
-/// number of substeps and of a layer's steps, `lumen_scales` [2 k] as for `World.step`. Returns for
-/// each world None, or why it could not step: it is then as it was.
+/// `loads` [n 10] are force [N], torque [N·m], gravity [m/s²] and damping [N·s/m]; `strides`
+/// numbers of substeps and of steps of a layer; `lumen_scales` [2 k] as in `World.step`. Returns,
+/// for each world, `None` or an error message; after an error the world is unchanged.
 #[pyfunction]
 pub fn step_worlds(
     py: Python<'_>,
@@ -47,7 +47,7 @@ pub fn step_worlds(
     let loads = rows(&loads, LOAD_ROW)?;
     let counts = [loads.len() / LOAD_ROW, strides.len(), lumen_scales.len()];
     if counts != [worlds.len(); 3] || strides.iter().any(|&(n, m)| m == 0 || n % m != 0) {
-        let what = "A load, strides and a lumen_scale for each world, substeps by whole steps.";
+        let what = "Each world needs a load, strides (n, a divisor of n), a lumen_scale.";
         return Err(PyValueError::new_err(what));
     }
     let mut held = borrowed(&worlds)?;
@@ -83,9 +83,9 @@ pub fn step_worlds(
     Ok(detached(py, || tasks.par_iter_mut().with_max_len(1).map(step).collect()))
 }
 
-/// Of each world, where the patient lies as in a row of `poses` [n 16]: the capsule's pose in the
-/// world [n 16]; its velocity and angular velocity [n 6], and force and torque of the wall [n 6], in
-/// the patient's frame; and the other numbers of `World.contact` [n 5].
+/// States of the worlds, with the patient at a row of `poses` [n 16]: the capsule's pose in the
+/// world [n 16]; its velocity and angular velocity [n 6], and force and torque of the wall [n 6],
+/// in the patient's frame; and the remaining numbers of `World.contact` [n 5].
 #[pyfunction]
 pub fn world_states<'py>(
     py: Python<'py>,
@@ -94,7 +94,7 @@ pub fn world_states<'py>(
 ) -> PyResult<States<'py>> {
     let poses = rows(&poses, 16)?;
     if poses.len() != 16 * worlds.len() {
-        return Err(PyValueError::new_err("A pose for each world."));
+        return Err(PyValueError::new_err("Each world needs a pose, a row of 16 numbers."));
     }
     let (mut places, mut motions, mut wrenches, mut rest) = (vec![], vec![], vec![], vec![]);
     for (world, pose) in worlds.iter().zip(poses.chunks_exact(16)) {
@@ -108,19 +108,19 @@ pub fn world_states<'py>(
     Ok((table(py, places, 16), table(py, motions, 6), table(py, wrenches, 6), table(py, rest, 5)))
 }
 
-/// Whether the axis of each capsule is in its lumen.
+/// True for each capsule whose axis is in its lumen.
 #[pyfunction]
 pub fn worlds_inside(py: Python<'_>, worlds: Vec<Bound<'_, World>>) -> PyResult<Vec<bool>> {
     on_each(py, &worlds, |stepper, wall| stepper.is_inside_now(wall))
 }
 
-/// Brings the hierarchy of each wall to where it is now, as `World.settle` does.
+/// Refits the hierarchy of each wall to its current vertices, as `World.settle` does.
 #[pyfunction]
 pub fn settle_worlds(py: Python<'_>, worlds: Vec<Bound<'_, World>>) -> PyResult<()> {
     on_each(py, &worlds, |stepper, wall| stepper.soft.settle(wall)).map(|_| ())
 }
 
-/// Does the same with each world and its wall, on all threads.
+/// Applies a function to each world and its wall, on all threads.
 fn on_each<R: Send>(
     py: Python<'_>,
     worlds: &[Bound<'_, World>],

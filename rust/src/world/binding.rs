@@ -1,4 +1,4 @@
-//! A capsule in a wall: what Python holds and steps.
+//! Python binding of a capsule in a wall.
 
 use super::body::{Body, Motion};
 use super::coupling_state::CouplingState;
@@ -29,25 +29,25 @@ type Pose = ([f64; 3], [f64; 4], [f64; 3], [f64; 3]);
 /// Two tables of numbers.
 type Tables<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>);
 
-/// Motion, the vertices that give way, the driven wall [m], the last step's contact.
+/// Motion, displaced vertices, active wall [m] and contact of the last step.
 type Saved = (Motion, Vec<(u32, VertexMotion)>, Vec<DVec3>, StepTotals);
 
-/// A capsule in a soft wall. Positions are about the wall's center, see `Wall.center`.
+/// Capsule in a soft wall. Positions are relative to the wall's center, see `Wall.center`.
 #[pyclass(module = "vrcaps._core")]
 pub struct World {
     pub wall: Py<Wall>,
-    /// The layer of finite elements under the wall.
+    /// Layer of finite elements under the wall.
     pub layer: Option<Py<FemLayer>>,
-    /// The wall's center; subtracted from every position [m].
+    /// Center of the wall, which is subtracted from every position [m].
     pub center: DVec3,
     pub stepper: Stepper,
-    /// What `undo` goes back to.
+    /// State that `undo` restores.
     saved: Option<Saved>,
 }
 
 #[pymethods]
 impl World {
-    /// A capsule in a wall at rest, at a pose; its motion has inertia unless `is_quasi_static`.
+    /// Capsule in a wall at rest, at a pose; its motion has inertia unless `is_quasi_static`.
     #[new]
     #[pyo3(signature = (
         wall, body, foundation, drag, spring_wall, pose, is_quasi_static=false
@@ -87,11 +87,10 @@ impl World {
         Ok(world)
     }
 
-    /// Moves on by `count` substeps of `dt`, with a wrench [N, N·m] and gravity [m/s²].
+    /// Advances by `count` substeps of `dt`, with a wrench [N, N·m] and gravity [m/s²].
     ///
-    /// `lumen_scale` [2 k] is the lumen's radius over that at rest, now and at the end of the step; see
-    /// `set_lumen_drive`.
-    /// A layer makes `outer` steps meanwhile, of which `count` is a multiple.
+    /// `lumen_scale` [2 k] is the lumen's radius as a factor of that at rest, at the start and at
+    /// the end; see `set_lumen_drive`. A layer makes `outer` steps, a divisor of `count`.
     #[pyo3(signature = (dt, count, wrench, gravity, lumen_scale=None, outer=1))]
     #[allow(clippy::too_many_arguments)]
     fn step(
@@ -123,7 +122,7 @@ impl World {
             .map_err(PyValueError::new_err)
     }
 
-    /// Puts a layer of finite elements under the wall, solved to `tolerance` [m].
+    /// Attaches a layer of finite elements to the wall, solved to `tolerance` [m].
     fn set_layer(&mut self, py: Python<'_>, layer: Py<FemLayer>, tolerance: f64) -> PyResult<()> {
         if self.stepper.dynamics == Dynamics::QuasiStatic {
             return Err(PyValueError::new_err(
@@ -138,7 +137,7 @@ impl World {
         Ok(())
     }
 
-    /// Lets sources act on magnets [k 6] (place, moment) in the capsule; `aim_sources` comes next.
+    /// Couples sources to magnets [k 6] (position, moment) in the capsule; call `aim_sources` next.
     fn set_magnets(
         &mut self,
         sources: PyRef<'_, FieldSources>,
@@ -149,8 +148,8 @@ impl World {
         Ok(())
     }
 
-    /// Moves the sources in the steps of the next `duration` [s] from rows [k 8] to rows: place,
-    /// quaternion wxyz, strength, in the world, where the wall is at a pose [4 4].
+    /// Moves the sources during the next `duration` [s] from rows [k 8] to rows: position,
+    /// quaternion wxyz and strength in the world, with the wall at a pose [4 4].
     fn aim_sources(
         &mut self,
         begin: PyReadonlyArray2<'_, f64>,
@@ -163,22 +162,22 @@ impl World {
         let magnets = self.stepper.magnets.as_mut().filter(|magnets| {
             begin.len() == end.len() && begin.len() == SOURCE_ROW * magnets.count()
         });
-        let magnets = magnets.ok_or_else(|| PyValueError::new_err("A row for each source."))?;
+        let magnets = magnets.ok_or_else(|| PyValueError::new_err("Each source needs a row."))?;
         let pose = (rotation, position + rotation * self.center);
         magnets.aim((&begin, &end), duration, pose, &self.stepper.motion);
         Ok(())
     }
 
-    /// What the sources did since `aim_sources`, and their field for a capsule at a pose [4 4].
+    /// Effect of the sources since `aim_sources`, and their field for a capsule at a pose [4 4].
     fn magnetic_coupling(&mut self, pose: PyReadonlyArray2<'_, f64>) -> PyResult<Option<Report>> {
         let Some(magnets) = self.stepper.magnets.as_mut() else { return Ok(None) };
         magnets.finish();
         Ok(Some(magnets.report(read_pose(&pose)?)))
     }
 
-    /// What lasts of the exchange with the layer: force [N] on each node, how far the felt wall is
-    /// off it [m] and the momentum it is owed [N·s], [nodes 9]; number, normal force [N] and friction [N] of touched triangles,
-    /// [k 5]. None without a layer.
+    /// State of the coupling with the layer: force [N], offset of the felt wall [m] and deferred
+    /// momentum [N·s] of each node, [nodes 9]; index, normal force [N] and friction [N] of
+    /// triangles in contact, [k 5]. `None` without a layer.
     #[getter]
     fn coupling_state<'py>(&self, py: Python<'py>) -> Option<Tables<'py>> {
         let coupling = self.stepper.coupling.as_ref()?;
@@ -195,7 +194,7 @@ impl World {
             let count = coupling.state.force.len();
             if nodes.as_array().dim() != (count, 9) || touched.as_array().ncols() != 5 {
                 return Err(PyValueError::new_err(format!(
-                    "A state of the coupling has {count} rows of 9 numbers, and rows of 5."
+                    "The state of the coupling has {count} rows of 9 numbers, and rows of 5."
                 )));
             }
             coupling.state = CouplingState::from_rows(nodes.as_slice()?, touched.as_slice()?);
@@ -203,8 +202,8 @@ impl World {
         Ok(())
     }
 
-    /// Lets the lumen narrow and widen: `inward` [n 3] from each vertex at rest to the centerline,
-    /// `sample` [n] its place along the samples of the `lumen_scale` that `step` takes.
+    /// Sets the radial motion of the lumen: `inward` [n 3] from each vertex at rest to the
+    /// centerline, `sample` [n] its index along the samples of the `lumen_scale` that `step` takes.
     fn set_lumen_drive(
         &mut self,
         inward: PyReadonlyArray2<'_, f64>,
@@ -214,7 +213,7 @@ impl World {
         if rows.dim() != (self.stepper.soft.active_wall.len(), 3)
             || sample.len() != self.stepper.soft.active_wall.len()
         {
-            return Err(PyValueError::new_err("The drive of the lumen has a row for each vertex."));
+            return Err(PyValueError::new_err("The drive of the lumen needs a row per vertex."));
         }
         let inward = rows.outer_iter().map(|r| DVec3::new(r[0], r[1], r[2])).collect();
         self.stepper.soft.drive =
@@ -222,7 +221,7 @@ impl World {
         Ok(())
     }
 
-    /// Keeps all that changes but a layer and its exchange, for `undo`.
+    /// Saves all state except a layer and its coupling, for `undo`.
     fn save(&mut self) {
         let Stepper { motion, soft, last, .. } = &self.stepper;
         let mut active_wall = self.saved.take().map_or_else(Vec::new, |saved| saved.2);
@@ -230,7 +229,7 @@ impl World {
         self.saved = Some((*motion, soft.awake_displacements(), active_wall, *last));
     }
 
-    /// Goes back to what was last saved.
+    /// Restores the last saved state.
     fn undo(&mut self) {
         if let Some((motion, wall_displacement, active_wall, last)) = self.saved.take() {
             (self.stepper.motion, self.stepper.last) = (motion, last);
@@ -240,8 +239,8 @@ impl World {
         }
     }
 
-    /// Brings the hierarchy to where the wall is now, for rendering and queries, if it may be off
-    /// by more than a tolerance [m].
+    /// Refits the hierarchy to the current wall, for rendering and queries, if it may be off by
+    /// more than a tolerance [m].
     #[pyo3(signature = (tolerance=0.0))]
     fn settle(&mut self, py: Python<'_>, tolerance: f64) -> PyResult<()> {
         if self.stepper.soft.wall_travel <= tolerance {
@@ -253,7 +252,7 @@ impl World {
         detached(py, || self.stepper.soft.settle(wall)).map_err(PyValueError::new_err)
     }
 
-    /// Center of mass [m], quaternion wxyz of unit length, velocity and angular velocity.
+    /// Center of mass [m], unit quaternion wxyz, velocity and angular velocity.
     #[getter]
     fn pose(&self) -> Pose {
         let m = &self.stepper.motion;
@@ -266,7 +265,7 @@ impl World {
         )
     }
 
-    /// Pose [4 4] of the capsule in the world, where the wall is at a pose [4 4].
+    /// Pose [4 4] of the capsule in the world, with the wall at a pose [4 4].
     fn pose_in<'py>(
         &self,
         py: Python<'py>,
@@ -309,7 +308,7 @@ impl World {
         let rows = wall_displacement.as_array();
         if rows.dim() != (self.stepper.soft.wall_displacement.len(), 6) {
             return Err(PyValueError::new_err(
-                "The displacement of the wall has six numbers for each vertex.",
+                "The displacement of the wall needs six numbers for each vertex.",
             ));
         }
         self.stepper.soft.wall_displacement = rows
@@ -328,7 +327,7 @@ impl World {
         Ok(())
     }
 
-    /// Where the wall would be if nothing touched it [n 3].
+    /// Positions of the wall without contact [m], [n 3].
     #[getter]
     fn active_wall<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
         let flat = self.stepper.soft.active_wall.iter().flat_map(|p| p.to_array());
@@ -339,14 +338,14 @@ impl World {
     fn set_active_wall(&mut self, active_wall: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
         let rows = active_wall.as_array();
         if rows.dim() != (self.stepper.soft.active_wall.len(), 3) {
-            return Err(PyValueError::new_err("The active wall has a row for each vertex."));
+            return Err(PyValueError::new_err("The active wall needs a row for each vertex."));
         }
         let place = |r: ndarray::ArrayView1<f64>| DVec3::new(r[0], r[1], r[2]);
         self.stepper.soft.set_active_wall(rows.outer_iter().map(place).collect());
         Ok(())
     }
 
-    /// Vertices of the wall now [n 3], in the frame to which `transform` [4 4] brings the wall's.
+    /// Current vertices of the wall [n 3], transformed from the wall's frame by `transform` [4 4].
     fn vertices<'py>(
         &self,
         py: Python<'py>,
@@ -354,7 +353,7 @@ impl World {
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let t = transform.as_array();
         if t.dim() != (4, 4) {
-            return Err(PyValueError::new_err("A transform has four rows and four columns."));
+            return Err(PyValueError::new_err("A transform needs four rows and four columns."));
         }
         let [x, y, z, origin] = [0, 1, 2, 3].map(|k| DVec3::new(t[[0, k]], t[[1, k]], t[[2, k]]));
         let mut flat = vec![0.0; 3 * self.stepper.soft.active_wall.len()];
@@ -369,8 +368,8 @@ impl World {
     }
 
     /// Mean force [N] and torque [N·m] of the wall on the capsule over the last step, mean sum of
-    /// normal forces [N], energy lost to friction [J]; then stored energy [J], touched area [m²]
-    /// and largest depth [m] of its last instant.
+    /// normal forces [N], energy lost to friction [J]; then stored energy [J], contact area [m²]
+    /// and maximum depth [m] at its end.
     fn contact(&self) -> ([f64; 3], [f64; 3], f64, f64, f64, f64, f64) {
         let StepTotals { force, torque, normal_force_total, friction_work, patch } =
             self.stepper.last;
@@ -379,7 +378,7 @@ impl World {
         (wrench.0, wrench.1, normal_force_total, friction_work, energy, area, depth)
     }
 
-    /// Sets what `contact` gives, its numbers in a row.
+    /// Sets the result of `contact`, its numbers in a row.
     fn set_contact(&mut self, row: [f64; 11]) {
         self.stepper.last = StepTotals {
             force: DVec3::from_slice(&row),
@@ -390,19 +389,19 @@ impl World {
         };
     }
 
-    /// Where [m] and how [N] the capsule pushes a spring wall, [n 6].
+    /// Points [m] and forces [N] of the capsule's contact with a spring wall, [n 6].
     fn contact_forces<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
         let rows = self.stepper.soft.contact_forces.iter();
         let flat = rows.flat_map(|p| Twist { linear: p.center, angular: p.force }.to_array());
         table(py, flat.collect(), 6)
     }
 
-    /// Largest depth [m] to which the capsule presses in where it is now.
+    /// Maximum depth [m] of the capsule in the wall at the current pose.
     fn penetration_depth(&mut self, py: Python<'_>) -> PyResult<f64> {
         let wall = self.wall.clone_ref(py);
         let mut wall = wall.try_borrow_mut(py).map_err(busy)?;
         let stepper = &mut self.stepper;
-        stepper.soft.travel = f64::INFINITY; // search anew
+        stepper.soft.travel = f64::INFINITY; // forces a new search
         stepper.touch(&mut wall, &mut None).map_err(PyValueError::new_err)?;
         stepper.last.patch = stepper.soft.patch.extent();
         Ok(stepper.soft.patch.depth)
@@ -413,12 +412,12 @@ impl World {
         self.stepper.body.kinetic_energy(&self.stepper.motion)
     }
 
-    /// Resistance [N] of the printed and continuous laws at a speed [m/s].
+    /// Resistance [N] of the published and continuous laws at a speed [m/s].
     fn resistance(&self, speed: f64) -> f64 {
         self.stepper.laws.drag.resistance(speed)
     }
 
-    /// Whether the capsule's axis is in the lumen.
+    /// True if the capsule's axis is in the lumen.
     fn inside(&mut self, py: Python<'_>) -> PyResult<bool> {
         let wall = self.wall.clone_ref(py);
         let mut wall = wall.try_borrow_mut(py).map_err(busy)?;
@@ -427,7 +426,7 @@ impl World {
 }
 
 impl World {
-    /// Rows of the capsule's pose in the world, where the wall is at a pose.
+    /// Pose of the capsule in the world by rows, with the wall at a pose.
     pub fn pose_at(&self, (rotation, position): (DMat3, DVec3)) -> [f64; 16] {
         let turn = rotation * DMat3::from_quat(self.stepper.motion.rotation);
         let place = rotation * (self.stepper.motion.position + self.center) + position;
@@ -435,10 +434,10 @@ impl World {
     }
 }
 
-/// A wall that another thread steps or moves at this moment.
+/// Error for a wall that another thread is using.
 pub fn busy<E>(_: E) -> PyErr {
     PyRuntimeError::new_err(
-        "The wall is in use by another thread. Each world needs a wall and a layer of its own.",
+        "The wall is in use by another thread. Allowed: a separate wall and layer for each world.",
     )
 }
 

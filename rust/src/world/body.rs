@@ -1,17 +1,17 @@
-//! The capsule as a rigid body: a cylinder with round ends, of any mass, inertia and balance.
+//! Capsule as a rigid body: a cylinder with hemispherical ends, of any mass and inertia.
 
 use super::solve::{Symmetric6, Twist};
 use crate::simd::f64x8::{max, min};
 use glam::{DMat3, DQuat, DVec3};
 
-/// What does not change about the capsule. The capsule frame's origin is the center of mass.
+/// Constant properties of the capsule. The origin of the capsule frame is the center of mass.
 #[derive(Clone)]
 pub struct Body {
     /// Mass [kg].
     pub mass: f64,
     /// Principal moments of inertia about the center of mass [kg·m²].
     pub moments: DVec3,
-    /// From the principal frame to the capsule frame.
+    /// Rotation from the principal frame to the capsule frame.
     pub principal: DQuat,
     /// Middle of the cylinder in the capsule frame [m].
     pub center: DVec3,
@@ -21,12 +21,12 @@ pub struct Body {
     pub radius: f64,
 }
 
-/// Where the capsule is and how it moves.
+/// Pose and velocity of the capsule.
 #[derive(Clone, Copy, Default)]
 pub struct Motion {
     /// Center of mass [m].
     pub position: DVec3,
-    /// From the capsule frame to the wall's.
+    /// Rotation from the capsule frame to the wall's.
     pub rotation: DQuat,
     /// Velocity of the center of mass [m/s].
     pub velocity: DVec3,
@@ -35,7 +35,7 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// Whether all of it are numbers.
+    /// True if all components are finite.
     pub fn is_finite(&self) -> bool {
         let (linear, angular) = (self.velocity, self.angular_velocity);
         self.position.is_finite()
@@ -45,25 +45,25 @@ impl Motion {
     }
 }
 
-/// The straight line between the centers of the round ends.
+/// Segment between the centers of the hemispherical ends.
 #[derive(Clone, Copy)]
 pub struct Axis {
-    /// One end [m].
+    /// First end [m].
     pub start: DVec3,
-    /// From one end to the other [m].
+    /// Vector from the first end to the other [m].
     pub span: DVec3,
     /// One over the squared length of `span`; 0 for a sphere.
     pub inverse_square: f64,
 }
 
 impl Axis {
-    /// From one end and what leads to the other [m].
+    /// Segment from one end and the vector to the other [m].
     pub fn new(start: DVec3, span: DVec3) -> Self {
         let square = span.length_squared();
         Axis { start, span, inverse_square: if square > 0.0 { 1.0 / square } else { 0.0 } }
     }
 
-    /// From the nearest point of the axis to `p`.
+    /// Vector from the nearest point of the axis to `p`.
     #[inline(always)]
     pub fn offset(&self, p: [f64; 3]) -> [f64; 3] {
         let (start, span) = (self.start.to_array(), self.span.to_array());
@@ -73,7 +73,7 @@ impl Axis {
         [q[0] - along * span[0], q[1] - along * span[1], q[2] - along * span[2]]
     }
 
-    /// The point of the axis nearest to `p`.
+    /// Point of the axis nearest to `p`.
     #[inline(always)]
     pub fn nearest(&self, p: DVec3) -> DVec3 {
         let along = ((p - self.start).dot(self.span) * self.inverse_square).clamp(0.0, 1.0);
@@ -82,7 +82,7 @@ impl Axis {
 }
 
 impl Body {
-    /// The axis of the body in motion `m`.
+    /// Axis of the body in motion `m`.
     pub fn axis(&self, m: &Motion) -> Axis {
         let span = m.rotation * DVec3::new(0.0, 0.0, 2.0 * self.half_axis);
         Axis::new(m.position + m.rotation * self.center - 0.5 * span, span)
@@ -113,12 +113,12 @@ impl Body {
         0.5 * (self.mass * m.velocity.length_squared() + (self.moments * spin).dot(spin))
     }
 
-    /// Moves on for a time `dt` after a change of twist.
+    /// Integrates the motion over a time `dt` after a change of twist.
     ///
-    /// The center of mass goes with the mean of old and new velocity, so that a constant force
-    /// gives its exact parabola and does exactly the work that the kinetic energy gains. The
-    /// free turn keeps angular momentum: it is split into turns about the principal axes
-    /// (Dullweber, Leimkuhler, McLachlan, J. Chem. Phys. 107, 1997).
+    /// The center of mass moves at the mean of old and new velocity, so that a constant force gives
+    /// its exact parabola and its work equals the gain of kinetic energy. The free rotation
+    /// conserves angular momentum: it is split into rotations about the principal axes (Dullweber,
+    /// Leimkuhler, McLachlan, J. Chem. Phys. 107, 1997).
     pub fn drift(&self, m: &mut Motion, change: Twist, dt: f64) {
         m.position += dt * (m.velocity + 0.5 * change.linear);
         m.velocity += change.linear;

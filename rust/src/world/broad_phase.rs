@@ -1,31 +1,31 @@
-//! What of the wall is near the capsule: found in the hierarchy now and then, used every substep.
+//! Part of the wall near the capsule, searched in the hierarchy only after enough travel.
 
 use super::body::Axis;
 use crate::wall::Wall;
 use crate::wall::bvh::{Bvh, Child, Triangle, WIDTH};
 use glam::DVec3;
 
-/// Triangles that may touch before the next search.
+/// Triangles that may come into contact before the next search.
 #[derive(Default)]
 pub struct NearbyWall {
-    /// Numbers of the faces, rising.
+    /// Indices of the faces, ascending.
     pub faces: Vec<u32>,
-    /// The faces as places of their corners in `vertices`.
+    /// Corners of the faces, as indices into `vertices`.
     pub corners: Vec<[u32; 3]>,
-    /// Vertices of these faces, by rising number.
+    /// Vertices of these faces, ascending.
     pub vertices: Vec<u32>,
     seen: Seen,
 }
 
-/// Which vertices one search has come across, and a number for each.
+/// Vertices visited by a search, with their local indices.
 #[derive(Default)]
 struct Seen {
     search: u32,
-    /// In which search, and the number.
+    /// Last search that visited each vertex, and its local index.
     vertices: Vec<(u32, u32)>,
 }
 
-/// A box about points.
+/// Axis-aligned bounding box.
 #[derive(Clone, Copy)]
 pub struct Bounds {
     low: DVec3,
@@ -57,7 +57,7 @@ impl NearbyWall {
         corners.extend(faces.iter().map(|&f| wall.faces[f as usize].map(place)));
     }
 
-    /// Adds the vertices within `reach` of a box [m] to others, in no order.
+    /// Appends the vertices within `reach` of a box [m], in no order.
     pub fn add_vertices(&mut self, wall: &Wall, bounds: &Bounds, reach: f64, to: &mut Vec<u32>) {
         let (seen, square) = (&mut self.seen, reach * reach);
         seen.begin(wall.vertices.len());
@@ -81,7 +81,7 @@ impl Seen {
         }
     }
 
-    /// Whether this search comes across a vertex for the first time.
+    /// Marks a vertex as visited; true if this search had not visited it.
     #[inline(always)]
     fn is_new(&mut self, v: u32) -> bool {
         std::mem::replace(&mut self.vertices[v as usize].0, self.search) != self.search
@@ -89,7 +89,7 @@ impl Seen {
 }
 
 impl Bounds {
-    /// The box of some points; of none it is far from everything.
+    /// Bounding box of points; without points, it is at infinite distance.
     pub fn about(points: impl IntoIterator<Item = DVec3>) -> Self {
         let nothing = Bounds { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
         points.into_iter().fold(nothing, |bounds, point| Bounds {
@@ -98,14 +98,14 @@ impl Bounds {
         })
     }
 
-    /// Square of the distance of a point from the box [m²], 0 inside.
+    /// Squared distance of a point from the box [m²], 0 inside.
     #[inline(always)]
     pub fn square_distance(&self, point: DVec3) -> f64 {
         (point - point.clamp(self.low, self.high)).length_squared()
     }
 }
 
-/// Whether some point of a triangle is within `reach` of the axis, or nearly.
+/// True if a triangle's bounding sphere is within `reach` of the axis.
 #[inline(always)]
 fn is_within(triangle: &Triangle, axis: &Axis, reach: f64) -> bool {
     let corners = triangle.corners.map(wide);
@@ -115,18 +115,18 @@ fn is_within(triangle: &Triangle, axis: &Axis, reach: f64) -> bool {
     (middle - axis.nearest(middle)).length_squared() <= (reach + radius) * (reach + radius)
 }
 
-/// A point in double precision.
+/// Point in double precision.
 #[inline(always)]
 fn wide([x, y, z]: [f32; 3]) -> DVec3 {
     DVec3::new(f64::from(x), f64::from(y), f64::from(z))
 }
 
-/// A vertex of the wall in double precision, about the wall's center.
+/// Vertex of the wall in double precision, relative to the wall's center.
 pub fn point(wall: &Wall, vertex: u32) -> DVec3 {
     wide(wall.vertices[vertex as usize])
 }
 
-/// Visits the triangles whose leaf meets a box grown by `reach` [m].
+/// Visits the triangles of each leaf that meets a box grown by `reach` [m].
 fn each_in_box(bvh: &Bvh, bounds: &Bounds, reach: f64, mut visit: impl FnMut(&Triangle)) {
     let low = (bounds.low - reach).to_array().map(|x| x as f32);
     let high = (bounds.high + reach).to_array().map(|x| x as f32);

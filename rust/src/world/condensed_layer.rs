@@ -1,8 +1,8 @@
-//! The part of a layer of finite elements that moves what is near the capsule.
+//! Condensation of a layer of finite elements onto the nodes near the capsule.
 //!
-//! Within a step of the layer the velocities of its nodes are linear in the forces on them, by a
-//! mobility that does not change. Here it is condensed onto the few nodes near the capsule, so
-//! that every substep of the capsule can have its wall's answer.
+//! Within a step of the layer the velocities of its nodes are linear in the forces on them, with a
+//! constant mobility. It is condensed onto the few nodes near the capsule, so that the response of
+//! the wall is available in every substep of the capsule.
 
 use super::broad_phase::NearbyWall;
 use crate::tissue::fem::Outcome;
@@ -11,28 +11,28 @@ use crate::tissue::fem::layer::FemLayer;
 use glam::{DMat3, DVec3};
 use std::collections::{BTreeMap, BTreeSet, btree_map::Entry};
 
-/// Nodes of a vertex inside, and as many above them outside.
+/// Inner nodes of a vertex; as many outer nodes lie above them.
 const PAIRS: usize = CARRIERS / 2;
 
-/// Nodes near the capsule: inner ones by rising number, then the outer ones above them, in the
-/// same order. Vectors over them end with one more entry, always zero, for held nodes.
+/// Nodes near the capsule: inner ones, ascending, then the outer ones above them, in the same
+/// order. Vectors over them end with one more entry, always zero, for fixed nodes.
 #[derive(Default)]
 pub struct CondensedLayer {
-    /// Numbers in the layer.
+    /// Indices in the layer.
     pub nodes: Vec<u32>,
-    /// Of each near vertex: its nodes by their place in `nodes`, and their weights.
+    /// For each near vertex: the indices of its nodes in `nodes`, and their weights.
     carriers: Vec<([u32; CARRIERS], [f64; CARRIERS])>,
-    /// Mobility [m/s per N]: of each node and axis, the answers of all nodes along x, y and z.
+    /// Mobility [m/s per N]: for each node and axis, the responses of all nodes along x, y and z.
     answers: Vec<f64>,
-    /// Sizes of the mobility between middles and spans of pairs of nodes, by columns [m/s per N].
+    /// Norms of the mobility between middles and spans of pairs of nodes, by columns [m/s per N].
     sizes: Vec<f64>,
-    /// Whole columns of the mobility, by node.
+    /// Full columns of the mobility, by node.
     columns: BTreeMap<u32, Vec<DMat3>>,
-    /// Answer of the last `answer`, along x, y and z.
+    /// Result of the last `answer`, along x, y and z.
     sums: Vec<f64>,
 }
 
-/// Adds the answer to one force.
+/// Adds the response to one force.
 #[multiversion::multiversion(targets("x86_64+avx2", "aarch64+neon"))]
 fn add_answer(answers: &[f64], force: DVec3, sums: &mut [f64]) {
     let (x, rest) = answers.split_at(sums.len());
@@ -48,13 +48,13 @@ fn add_column(column: &[f64], scale: f64, sums: &mut [f64]) {
     sums.iter_mut().zip(column).for_each(|(sum, x)| *sum += scale * x);
 }
 
-/// Frobenius' norm, which is never less than the largest stretch.
+/// Frobenius norm, an upper bound of the spectral norm.
 fn size(m: DMat3) -> f64 {
     let square = |v: DVec3| v.length_squared();
     (square(m.x_axis) + square(m.y_axis) + square(m.z_axis)).sqrt()
 }
 
-/// Weights of the middles and spans of pairs instead of their two nodes.
+/// Weights of the middles and spans of pairs of nodes, from the weights of the nodes.
 fn middles_and_spans(weights: &[f64; CARRIERS]) -> [(f64, f64); PAIRS] {
     std::array::from_fn(|k| {
         let (inner, outer) = (weights[k], weights[k + PAIRS]);
@@ -62,8 +62,8 @@ fn middles_and_spans(weights: &[f64; CARRIERS]) -> [(f64, f64); PAIRS] {
     })
 }
 
-/// From the number of a free inner node to that of the outer one above it: the levels of nodes are
-/// numbered alike, so it is the same for all.
+/// Offset from the index of a free inner node to that of the outer one above it: the levels of
+/// nodes are numbered alike, so it is the same for all.
 pub fn rise(layer: &FemLayer) -> u32 {
     let free = layer.displacement.len() as u32;
     let inner = |nodes: &[u32; CARRIERS]| (0..PAIRS).find(|&k| nodes[k] < free);
@@ -71,7 +71,7 @@ pub fn rise(layer: &FemLayer) -> u32 {
     found.unwrap_or(free)
 }
 
-/// Largest sums of the weights' sizes of any vertex, of middles and of spans.
+/// Maximum sum of absolute weights of any vertex, of middles and of spans.
 pub fn largest_weights(embedding: &Embedding) -> (f64, f64) {
     embedding.weights.iter().fold((0.0f64, 0.0f64), |most, weights| {
         let pairs = middles_and_spans(weights);
@@ -81,7 +81,7 @@ pub fn largest_weights(embedding: &Embedding) -> (f64, f64) {
 }
 
 impl CondensedLayer {
-    /// Takes the nodes that carry what is near, and those of `others`.
+    /// Selects the nodes of the near vertices and those in `others`.
     pub fn find(
         &mut self,
         layer: &mut FemLayer,
@@ -152,14 +152,14 @@ impl CondensedLayer {
         Ok(())
     }
 
-    /// What near vertex `v` has where the nodes have `values`.
+    /// Value interpolated at near vertex `v` from `values` at the nodes.
     #[inline(always)]
     pub fn carry(&self, v: usize, values: &[DVec3]) -> DVec3 {
         let (nodes, weights) = &self.carriers[v];
         nodes.iter().zip(weights).map(|(&n, &weight)| weight * values[n as usize]).sum()
     }
 
-    /// Adds a force on near vertex `v` to its nodes; the work stays the same.
+    /// Distributes a force on near vertex `v` to its nodes, with the same work.
     #[inline(always)]
     pub fn gather(&self, v: usize, force: DVec3, out: &mut [DVec3]) {
         let (nodes, weights) = &self.carriers[v];
@@ -168,8 +168,8 @@ impl CondensedLayer {
         }
     }
 
-    /// Adds to the velocities of the nodes their answer to forces on them, or to displacements
-    /// theirs to momenta; the held entry stays zero.
+    /// Adds to the velocities of the nodes their response to forces, or to displacements the
+    /// response to momenta; the entry of fixed nodes stays zero.
     pub fn answer(&mut self, forces: &[DVec3], out: &mut [DVec3]) {
         let count = self.nodes.len();
         if count == 0 {
@@ -186,15 +186,15 @@ impl CondensedLayer {
         }
     }
 
-    /// Whether all nodes' answer to momentum given to nodes is quicker summed from the columns
-    /// that are kept than solved for, which reads the factor twice.
+    /// True if the response of all nodes to momenta is cheaper to sum from the stored columns than
+    /// to solve for, which reads the factor twice.
     pub fn knows(&self, momenta: &[DVec3], layer: &FemLayer) -> bool {
         let given = momenta.iter().filter(|p| **p != DVec3::ZERO).count();
         9 * given * momenta.len() < 2 * layer.fill()
     }
 
-    /// Velocities of all nodes after a step of `dt` [s] that gives near ones momentum [N·s] beyond
-    /// what was predicted with.
+    /// Velocities of all nodes after a step of `dt` [s] with momentum [N·s] on near ones in
+    /// addition to the loads of the prediction.
     pub fn correct(&self, mut predicted: Vec<DVec3>, momenta: &[DVec3], dt: f64) -> Vec<DVec3> {
         for node in &self.nodes {
             let force = momenta[*node as usize] / dt;
@@ -206,7 +206,7 @@ impl CondensedLayer {
         predicted
     }
 
-    /// Bound on how fast near vertices answer to forces of given sizes on them, whatever their
+    /// Upper bound of the speed of near vertices in response to forces of given magnitudes and any
     /// directions [m/s]: `Σ |mobility| · size`.
     pub fn bound(&mut self, sizes: &[f64]) -> Vec<f64> {
         let (count, half) = (self.nodes.len(), self.nodes.len() / 2);

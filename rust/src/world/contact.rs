@@ -1,10 +1,10 @@
-//! Contact with a soft wall: which pieces of it the capsule presses.
+//! Contact with a soft wall: subdivision of its triangles into pieces under the capsule.
 //!
 //! The wall is a layer on a rigid ground, a bed of independent springs (Johnson, Contact Mechanics,
-//! 1985, 4.3). A point of the wall at distance s from the capsule's axis is pressed in by
-//! `u = R − s`; its pressure acts along the capsule's normal there. The force is so the gradient
-//! of an energy `∫ψ(u) dA`, and a capsule that comes and goes slowly gets all of it back.
-//! Triangles are divided until depth changes evenly within a piece; `patch` adds the pieces up.
+//! 1985, 4.3). A point of the wall at distance s from the capsule's axis is indented by
+//! `u = R − s`; its pressure acts along the capsule's normal there. The force is thus the gradient
+//! of an energy `∫ψ(u) dA`, and a slow approach and retreat of the capsule dissipates nothing.
+//! Triangles are divided until the depth is nearly linear within a piece; `patch` sums the pieces.
 
 use super::body::{Axis, Body, Motion};
 use super::contact_patch::{Patch, Pressing};
@@ -12,36 +12,36 @@ use crate::simd::f64x8::{max, put};
 use crate::tissue::winkler_foundation::WinklerFoundation;
 use glam::DVec3;
 
-/// Where the edge of the patch crosses it, a piece is at most this share of the patch's radius.
+/// Maximum size of a piece on the edge of the patch, as a fraction of the patch's radius.
 const FINENESS: f64 = 0.6;
-/// Near the patch's middle, ρ² up to this times R·u is fine enough.
+/// Limit of ρ² near the patch's middle, as a factor of R·u.
 const FLATNESS: f64 = 0.6;
-/// No piece becomes smaller than this share of the radius of the whole patch, wherever it lies.
+/// Minimum size of any piece, as a fraction of the radius of the whole patch.
 const FINER: f64 = 0.4;
-/// No piece becomes smaller than this share of the capsule's radius.
+/// Minimum size of a piece, as a fraction of the capsule's radius.
 const FINEST: f64 = 1.0 / 40.0;
-/// No piece stays larger than this share of it: the capsule's normal turns within a piece.
+/// Maximum size of a piece, as a fraction of the same: the capsule's normal turns within a piece.
 const COARSEST: f64 = 0.3;
-/// Share of the depth of an e-fold of stiffness that the depth may change within a piece.
+/// Maximum change of depth within a piece, as a fraction of the depth of an e-fold of stiffness.
 const STEEPNESS: f64 = 1.0;
 
-/// A triangle of the wall as the capsule meets it.
+/// Triangle of the wall relative to the capsule.
 #[derive(Clone, Copy)]
 pub struct Facet {
     /// Corners [m].
     pub corners: [DVec3; 3],
     /// Mean velocity of the corners [m/s].
     pub velocity: DVec3,
-    /// Distance of the farthest corner from the middle [m].
+    /// Distance of the farthest corner from the centroid [m].
     pub reach: f64,
-    /// Distance of the middle from the capsule's axis [m].
+    /// Distance of the centroid from the capsule's axis [m].
     pub distance: f64,
-    /// Its place among what is near.
+    /// Index among the near triangles.
     pub place: u32,
 }
 
 impl Facet {
-    /// A triangle with corners that move, as a capsule about `axis` meets it.
+    /// Triangle with moving corners, relative to a capsule about `axis`.
     #[inline(always)]
     pub fn new(place: u32, [a, b, c]: [(DVec3, DVec3); 3], axis: &Axis) -> Self {
         let center = (a.0 + b.0 + c.0) / 3.0;
@@ -56,24 +56,24 @@ impl Facet {
     }
 }
 
-/// One capsule at one instant, pressing into triangles.
+/// Capsule at one instant, indenting triangles.
 pub struct Indenter {
     pressing: Pressing,
-    /// Most that the depth may change within a piece [m].
+    /// Maximum change of depth within a piece [m].
     steep: f64,
-    /// No piece becomes smaller than this [m].
+    /// Minimum size of a piece [m].
     finest: f64,
 }
 
-/// A triangle that is being divided.
+/// Triangle that is being divided.
 struct Cut<'a> {
     facet: &'a Facet,
-    /// Into the lumen.
+    /// Normal into the lumen.
     normal: DVec3,
 }
 
 impl Indenter {
-    /// The capsule `body` in motion `m`.
+    /// Indenter of the capsule `body` in motion `m`.
     pub fn new(foundation: &WinklerFoundation, body: &Body, motion: &Motion) -> Self {
         Indenter {
             pressing: Pressing {
@@ -87,7 +87,7 @@ impl Indenter {
         }
     }
 
-    /// Fills the patch with what the triangles carry.
+    /// Fills the patch with the loads of the triangles.
     pub fn press(&mut self, facets: &[Facet], patch: &mut Patch) {
         patch.clear();
         let radius = self.pressing.radius;
@@ -105,7 +105,7 @@ impl Indenter {
         patch.press(&self.pressing);
     }
 
-    /// Adds a piece to the patch if the capsule may touch it, in four where it is too coarse.
+    /// Adds a piece to the patch if it may be in contact, divided into four if it is too coarse.
     fn divide(&self, cut: &Cut, corners: [DVec3; 3], reach: f64, area: f64, patch: &mut Patch) {
         let [a, b, c] = corners;
         let axis: &Axis = &self.pressing.axis;
@@ -117,7 +117,7 @@ impl Indenter {
         }
         let facing = -offset.dot(cut.normal) / distance.max(f64::MIN_POSITIVE);
         let sine = (1.0 - facing * facing).max(0.0).sqrt();
-        // Distance is convex: nowhere in the piece is it less than this.
+        // Distance is convex: no point of the piece is nearer than this
         if distance - reach * sine >= self.pressing.radius {
             return;
         }
@@ -137,8 +137,8 @@ impl Indenter {
         pieces.area[lane] = area;
     }
 
-    /// Whether a piece must be divided: against the radius of the patch, which for a flat wall is
-    /// R sin θ at its edge, and against how fast the depth changes inside.
+    /// True if a piece must be divided: compares it with the radius of the patch, which for a flat
+    /// wall is R sin θ at its edge, and with the gradient of the depth.
     fn is_coarse(&self, reach: f64, distance: f64, sine: f64) -> bool {
         let radius = self.pressing.radius;
         if reach <= self.finest {

@@ -1,23 +1,24 @@
-//! The touched patch: pieces of triangles side by side in lanes, added up in a fixed order.
+//! Contact patch: pieces of triangles in SIMD lanes, summed in a fixed order.
 
 use super::body::{Axis, Motion};
 use crate::simd::f64x8::{LANES, Lane, Lane3, at, max, min, sum};
 use crate::tissue::winkler_foundation::WinklerFoundation;
 use glam::DVec3;
 
-/// Cosine between the wall's normal and the capsule's below which a wall begins to face away.
+/// Cosine between the wall's and the capsule's normal below which the contact area fades, to 0 at
+/// 0.
 const GRAZING: f64 = 0.2;
 
-/// A capsule that presses.
+/// Capsule as an indenter.
 #[derive(Clone, Copy)]
 pub struct Pressing {
-    /// The wall's stiffness.
+    /// Stiffness of the wall.
     pub foundation: WinklerFoundation,
-    /// The capsule's radius [m].
+    /// Radius of the capsule [m].
     pub radius: f64,
-    /// Its axis.
+    /// Axis of the capsule.
     pub axis: Axis,
-    /// Its motion.
+    /// Motion of the capsule.
     pub motion: Motion,
 }
 
@@ -26,38 +27,38 @@ pub struct Pressing {
 pub struct Pieces {
     /// Corners [m].
     pub corners: [Lane3; 3],
-    /// Area [m²]; 0 in a lane that is not used.
+    /// Area [m²]; 0 in an unused lane.
     pub area: Lane,
     /// Normal of the wall, into the lumen.
     pub normal: Lane3,
     /// Velocity of the wall [m/s].
     pub velocity: Lane3,
-    /// Place among the patch's triangles.
+    /// Index among the patch's triangles.
     triangle: [u32; LANES],
-    /// Place of the triangle among what is near.
+    /// Index of the triangle among the near ones.
     place: [u32; LANES],
 }
 
-/// What eight pieces do.
+/// Loads of eight pieces.
 #[derive(Clone)]
 pub struct Samples {
-    /// The capsule's normal, and its moment about the center of mass: turns twists into speeds.
+    /// Normal of the capsule and its moment about the center of mass: Jacobian from twist to speed.
     pub lever: [Lane; 6],
     /// Speed of indentation [m/s].
     pub speed: Lane,
     /// Force along the normal [N].
     pub load: Lane,
-    /// Its slope by depth [N/m].
+    /// Derivative of the load by depth [N/m].
     pub stiffness: Lane,
-    /// Its slope by speed [N·s/m].
+    /// Derivative of the load by speed [N·s/m].
     pub damping: Lane,
-    /// Middle of the pressure [m].
+    /// Center of pressure [m].
     center: Lane3,
     /// Stored energy [J].
     energy: Lane,
-    /// Touched area [m²].
+    /// Contact area [m²].
     area: Lane,
-    /// Largest depth [m].
+    /// Maximum depth [m].
     depth: Lane,
 }
 
@@ -82,12 +83,12 @@ const NO_SAMPLES: Samples = Samples {
     depth: NOTHING,
 };
 
-/// What one triangle of the wall carries.
+/// Load of one triangle of the wall.
 #[derive(Clone, Copy, Default)]
 pub struct FacetLoad {
-    /// Its place among what is near.
+    /// Index among the near triangles.
     pub place: u32,
-    /// Middle of its pressure [m].
+    /// Center of pressure [m].
     pub center: DVec3,
     /// Unit normal of the capsule there.
     pub normal: DVec3,
@@ -95,30 +96,30 @@ pub struct FacetLoad {
     pub load: f64,
     /// Velocity of the wall there [m/s].
     pub velocity: DVec3,
-    /// How much faster the wall there moves for each newton within a substep [m/s per N]; 0 where
-    /// it does not.
+    /// Change of the wall's speed there per change of force within a substep [m/s per N]; 0 for a
+    /// wall without a layer.
     pub mobility: f64,
 }
 
-/// The patch of one instant.
+/// Contact patch at one instant.
 #[derive(Default)]
 pub struct Patch {
     pieces: Vec<Pieces>,
     num_pieces: usize,
-    /// What the pieces do.
+    /// Loads of the pieces.
     pub samples: Vec<Samples>,
-    /// Triangles that touch.
+    /// Triangles in contact.
     pub facet_loads: Vec<FacetLoad>,
     /// Stored energy [J].
     pub energy: f64,
-    /// Touched area [m²].
+    /// Contact area [m²].
     pub area: f64,
-    /// Largest depth [m].
+    /// Maximum depth [m].
     pub depth: f64,
 }
 
 impl Patch {
-    /// Empties the patch; its memory stays.
+    /// Clears the patch; keeps its memory.
     pub fn clear(&mut self) {
         self.num_pieces = 0;
         self.pieces.clear();
@@ -127,12 +128,12 @@ impl Patch {
         (self.energy, self.area, self.depth) = (0.0, 0.0, 0.0);
     }
 
-    /// Stored energy [J], touched area [m²] and largest depth [m].
+    /// Stored energy [J], contact area [m²] and maximum depth [m].
     pub fn extent(&self) -> [f64; 3] {
         [self.energy, self.area, self.depth]
     }
 
-    /// A lane for one more piece, of the triangle at a place among what is near.
+    /// Lane for one more piece, of the near triangle with index `place`.
     pub fn piece(&mut self, place: u32) -> (&mut Pieces, usize) {
         let lane = self.num_pieces % LANES;
         if lane == 0 {
@@ -148,13 +149,13 @@ impl Patch {
         (pieces, lane)
     }
 
-    /// What the pieces do, with the places of their triangles among what is near; unused lanes do
-    /// nothing.
+    /// Loads of the pieces, with the indices of their triangles among the near ones; unused lanes
+    /// are zero.
     pub fn lanes(&mut self) -> impl Iterator<Item = (&[u32; LANES], &mut Samples)> {
         self.pieces.iter().map(|pieces| &pieces.place).zip(&mut self.samples)
     }
 
-    /// As `lanes`, and beside them the touched triangles.
+    /// Result of `lanes` together with the triangles in contact.
     pub fn lanes_and_loads(
         &mut self,
     ) -> (impl Iterator<Item = (&[u32; LANES], &Samples)>, &mut [FacetLoad]) {
@@ -162,7 +163,7 @@ impl Patch {
         (lanes, &mut self.facet_loads)
     }
 
-    /// Presses into all pieces.
+    /// Computes the loads of all pieces.
     pub fn press(&mut self, pressing: &Pressing) {
         press_all(pressing, &self.pieces, &mut self.samples);
         for (pieces, samples) in self.pieces.iter().zip(&self.samples) {
@@ -200,7 +201,7 @@ fn press_all(pressing: &Pressing, pieces: &[Pieces], samples: &mut Vec<Samples>)
     }
 }
 
-/// A function of its own, for only then is it known that what it reads is not what it writes.
+/// Separate function, so that the compiler knows that input and output do not alias.
 #[inline(always)]
 fn press_eight(pressing: Pressing, pieces: &Pieces) -> Samples {
     let mut samples = NO_SAMPLES;
@@ -210,25 +211,25 @@ fn press_eight(pressing: Pressing, pieces: &Pieces) -> Samples {
     samples
 }
 
-/// The part of a triangle where depth, linear in it, is above 0: integrals by its area.
+/// Part of a triangle with positive depth, linear in it: integrals divided by the triangle's area.
 #[derive(Clone, Copy)]
 struct Part {
-    /// Of 1, of the depth, of its square.
+    /// Integrals of 1, of the depth and of its square.
     moments: [f64; 3],
-    /// Of the depth times each corner's share.
+    /// Integrals of the depth times each barycentric coordinate.
     shares: [f64; 3],
 }
 
-/// Cuts a triangle with depths a, b, c at its corners.
+/// Integrates over a triangle with depths a, b, c at its corners.
 #[inline(always)]
 fn cut(a: f64, b: f64, c: f64) -> Part {
-    // The corner that lies alone on its side of the cut, if any; its depth is q.
+    // Corner that is alone on its side of the cut, if any; its depth is q
     let (in_a, in_b, in_c) = (a > 0.0, b > 0.0, c > 0.0);
     let is_a = (in_a != in_b) & (in_a != in_c);
     let is_b = (in_b != in_a) & (in_b != in_c);
     let is_c = (in_c != in_a) & (in_c != in_b);
     let q = select(is_a, a, select(is_b, b, c));
-    // How far the cut is from it towards each of the others; 1 for itself.
+    // Distance of the cut from it towards each other corner, relative to the edge; 1 for itself.
     let (fa, fb, fc) = (crossing(q, a), crossing(q, b), crossing(q, c));
     let corner = fa * fb * fc;
     let rest = 5.0 - fa - fb - fc;
@@ -252,7 +253,7 @@ fn cut(a: f64, b: f64, c: f64) -> Part {
     }
 }
 
-/// Where between depths q and r depth is 0, from q; 1 if they are the same.
+/// Position of depth 0 between depths q and r, as a fraction from q; 1 if they are equal.
 #[inline(always)]
 fn crossing(q: f64, r: f64) -> f64 {
     let way = q - r;
@@ -286,7 +287,7 @@ fn scale(a: Three, s: f64) -> Three {
     [a[0] * s, a[1] * s, a[2] * s]
 }
 
-/// Sum of three vectors with weights.
+/// Weighted sum of three vectors.
 #[inline(always)]
 fn blend(weights: Three, a: Three, b: Three, c: Three) -> Three {
     let [u, v, w] = weights;
@@ -298,11 +299,11 @@ fn lane(v: &Lane3, i: usize) -> Three {
     [v[0][i], v[1][i], v[2][i]]
 }
 
-/// Presses into the piece of lane `i`.
+/// Computes the load of the piece in lane `i`.
 ///
-/// Depth is taken as linear between the corners, raised so that its mean over the piece is right
-/// to second order (¾ of the middle's value and 1/12 of each corner's). Pressure acts at the
-/// middle of the depth.
+/// Depth is linear between the corners, raised so that its mean over the piece is correct to second
+/// order (¾ of the value at the centroid and 1/12 of that at each corner). Pressure acts at the
+/// centroid of the depth.
 #[inline(always)]
 fn press_one(pressing: &Pressing, pieces: &Pieces, out: &mut Samples, i: usize) {
     let (axis, radius) = (&pressing.axis, pressing.radius);

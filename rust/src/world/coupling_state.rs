@@ -1,11 +1,11 @@
-//! What of the exchange between a capsule and a layer lasts from step to step.
+//! State of the coupling between a capsule and a layer that persists between steps.
 
 use glam::DVec3;
 
 /// Force on one triangle of the wall in the last substep.
 #[derive(Clone, Copy, Default)]
 pub struct ContactFace {
-    /// Its number.
+    /// Index of the triangle.
     pub face: u32,
     /// Normal force [N].
     pub normal: f64,
@@ -13,28 +13,28 @@ pub struct ContactFace {
     pub tangent: DVec3,
 }
 
-/// What of the exchange lasts from step to step, besides the layer's own motion.
+/// State of the coupling, in addition to the layer's own motion.
 #[derive(Clone, Default)]
 pub struct CouplingState {
     /// Forces on the layer's nodes in the last substep [N].
     pub force: Vec<DVec3>,
-    /// How far the wall that the capsule felt was from the layer at the end of the last step [m];
+    /// Offset of the wall that the capsule felt from the layer at the end of the last step [m];
     /// zero for a linear layer.
     pub offset: Vec<DVec3>,
-    /// Momentum that the layer has still to be given [N·s].
+    /// Deferred momentum, to be applied to the layer in its next step [N·s].
     pub owed: Vec<DVec3>,
-    /// Forces in the last substep, by rising number of the triangle.
+    /// Forces in the last substep, by ascending index of the triangle.
     pub touched: Vec<ContactFace>,
 }
 
 impl CouplingState {
-    /// For a layer of so many nodes at rest.
+    /// State for a layer of `count` nodes at rest.
     pub fn at_rest(count: usize) -> Self {
         let zero = vec![DVec3::ZERO; count];
         CouplingState { force: zero.clone(), offset: zero.clone(), owed: zero, touched: Vec::new() }
     }
 
-    /// Rows of nine for each node, and of five for each touched triangle.
+    /// Rows of nine for each node, and of five for each triangle in contact.
     pub fn to_rows(&self) -> (Vec<f64>, Vec<f64>) {
         let vectors = |k: usize| [self.force[k], self.offset[k], self.owed[k]];
         let node = |k| vectors(k).into_iter().flat_map(|v| v.to_array());
@@ -44,7 +44,7 @@ impl CouplingState {
         (nodes, self.touched.iter().flat_map(touch).collect())
     }
 
-    /// From such rows.
+    /// State from the rows of `to_rows`.
     pub fn from_rows(nodes: &[f64], touched: &[f64]) -> Self {
         let vectors = |skip: usize| {
             nodes.chunks_exact(9).map(|row| DVec3::from_slice(&row[skip..])).collect()

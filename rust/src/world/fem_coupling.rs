@@ -1,17 +1,17 @@
-//! A capsule and a wall of finite elements load and move each other.
+//! Two-way coupling of a capsule and a wall of finite elements.
 //!
 //! The layer makes outer steps of implicit Euler, the capsule many substeps within each. Over an
-//! outer step of length H the layer's velocities are `w = w₀ + B (f̄ − f₀)`, with f̄ the mean of the
-//! forces on it, w₀ what they are under the last forces f₀, and B its mobility. So in each substep
-//! the wall moves at `w₀ + B (f − f₀)`, f being the force of that very substep: the mean over the
-//! substeps is the layer's own step under f̄, and the wall the capsule has felt is the layer's.
-//! What the capsule gives, `Σ h f·w`, is never less than what the layer takes, `H f̄·w̄`, as B is
-//! positive definite: the exchange cannot make energy.
+//! outer step of length H the layer's velocities are `w = w₀ + B (f̄ − f₀)`, with f̄ the mean of
+//! the forces on it, w₀ the velocities under the last forces f₀, and B its mobility. In each
+//! substep the wall thus moves at `w₀ + B (f − f₀)`, with f the force of that substep: the mean
+//! over the substeps is the layer's own step under f̄, and the wall that the capsule felt is the
+//! layer. The work of the capsule, `Σ h f·w`, is never less than that on the layer, `H f̄·w̄`, as B
+//! is positive definite: the coupling creates no energy.
 //!
 //! A substep's force depends on the wall's velocity that follows from it. Each triangle is solved
-//! for as if its own answer were `b` times its own change of force, with b so large (row sums of
-//! |B|, weighted by the triangles' stiffness) that by the theorem of Collatz and Wielandt the
-//! rounds of this, one a substep, converge whatever the stiffness.
+//! as if its own response were `b` times its own change of force, with b so large (row sums of
+//! B|, weighted by the triangles' stiffness) that by the theorem of Collatz and Wielandt these
+//! iterations, one per substep, converge for any stiffness.
 
 use super::condensed_layer::{CondensedLayer, largest_weights, rise};
 use super::contact_patch::Samples;
@@ -24,45 +24,45 @@ use crate::tissue::fem::layer::FemLayer;
 use crate::tissue::spring_wall::VertexMotion;
 use glam::DVec3;
 
-/// Momentum that makes no node faster than this is given to the layer in its next step [m/s]: over
-/// a step it is less than a nanometer, and spares a solution where the capsule rests.
+/// Change of node speed below which momentum is deferred to the next step of the layer [m/s]: over
+/// a step it is less than a nanometer, and avoids a solution while the capsule rests.
 const SLIGHT: f64 = 1e-7;
 
-/// All that an exchange and its layer go on from.
+/// State from which a coupling and its layer continue.
 pub struct Backup {
     state: CouplingState,
     displacement: Vec<DVec3>,
     velocity: Vec<DVec3>,
 }
 
-/// The exchange of one world; vectors over nodes near the capsule end with a zero for held ones.
+/// Coupling of one world; vectors over near nodes end with a zero for fixed ones.
 pub struct FemCoupling {
     pub state: CouplingState,
-    /// To which a nonlinear layer is solved [m].
+    /// Tolerance of the solution of a nonlinear layer [m].
     tolerance: f64,
-    /// Outer step, and time since it began [s].
+    /// Outer step, and time since its start [s].
     step: f64,
     since: f64,
-    /// Displacements when it began [m].
+    /// Displacements at its start [m].
     start: Vec<DVec3>,
-    /// Velocities under the last forces [m/s].
+    /// Velocities under the reference forces [m/s].
     drift: Vec<DVec3>,
-    /// Velocities under them at the end of the outer step [m/s].
+    /// Velocities under the reference forces at the end of the outer step [m/s].
     predicted: Vec<DVec3>,
-    /// Momentum given beyond theirs [N·s].
+    /// Momentum in addition to that of the reference forces [N·s].
     gained: Vec<DVec3>,
-    /// These forces.
+    /// Reference forces: those of the last substep before this outer step [N].
     reference: Vec<DVec3>,
     near: CondensedLayer,
     displacement: Vec<DVec3>,
     velocity: Vec<DVec3>,
-    /// Largest sums of weights, of middles and of spans.
+    /// Maximum sums of weights, of middles and of spans.
     weights: (f64, f64),
-    /// From the number of an inner node to that of the outer one above it.
+    /// Offset from the index of an inner node to that of the outer one above it.
     rise: u32,
-    /// Fastest vertex under the last forces, at most [m/s].
+    /// Upper bound of the vertices' speed under the reference forces [m/s].
     fastest: f64,
-    /// Whether vertices beyond the near are not where the layer is.
+    /// True if vertices that are not near lag behind the layer.
     is_stale: bool,
 }
 
@@ -73,7 +73,7 @@ impl From<(DVec3, DVec3)> for VertexMotion {
 }
 
 impl FemCoupling {
-    /// For a layer at rest.
+    /// Coupling for a layer at rest.
     pub fn new(layer: &FemLayer, tolerance: f64) -> Self {
         let zero = vec![DVec3::ZERO; layer.displacement.len()];
         FemCoupling {
@@ -96,23 +96,23 @@ impl FemCoupling {
         }
     }
 
-    /// What `restore` goes back to.
+    /// State for `restore`.
     pub fn backup(&self, layer: &FemLayer) -> Backup {
         let (displacement, velocity) = (layer.displacement.clone(), layer.velocity.clone());
         Backup { state: self.state.clone(), displacement, velocity }
     }
 
-    /// Goes back to what was, the wall's vertices too.
+    /// Restores a state, including the wall's vertices.
     pub fn restore(&mut self, layer: &mut FemLayer, backup: Backup, soft: &mut SoftWall) {
         (layer.displacement, layer.velocity) = (backup.displacement, backup.velocity);
         self.state = backup.state;
         self.settle(layer, soft);
     }
 
-    /// Before a substep of `dt` [s]: begins an outer step when its number is a multiple of `each`.
+    /// Prepares substep `number` of `dt` [s]: begins an outer step if it is a multiple of `each`.
     ///
-    /// Every step of the world begins with a search. Others come when they must: no byte depends on
-    /// when.
+    /// Every step of the world begins with a search. The times of other searches do not affect the
+    /// result.
     pub fn keep_up(
         &mut self,
         layer: &mut FemLayer,
@@ -155,7 +155,7 @@ impl FemCoupling {
         Ok(())
     }
 
-    /// Ends the outer step: the layer goes where the forces have brought it.
+    /// Ends the outer step: advances the layer under the mean forces.
     pub fn end(&mut self, layer: &mut FemLayer) -> Outcome<()> {
         let (step, gained) = (self.step, self.gained.clone());
         let mean: Vec<DVec3> =
@@ -186,7 +186,7 @@ impl FemCoupling {
         Ok(())
     }
 
-    /// How much faster the fastest near node goes for the momentum gained [m/s].
+    /// Maximum change of speed of near nodes by the momentum gained [m/s].
     fn fastest_change(&mut self) -> f64 {
         let momenta: Vec<DVec3> = self.local(&self.gained).iter().map(|p| *p / self.step).collect();
         let mut answer = vec![DVec3::ZERO; momenta.len()];
@@ -194,7 +194,7 @@ impl FemCoupling {
         answer.iter().map(|v| v.length()).fold(0.0, f64::max)
     }
 
-    /// Takes the nodes around what has become near.
+    /// Selects the nodes of the near vertices.
     pub fn find(&mut self, layer: &mut FemLayer, soft: &mut SoftWall) -> Outcome<()> {
         let loads = self.state.force.iter().zip(&self.reference).zip(&self.gained).enumerate();
         let loaded = |load: &((&DVec3, &DVec3), &DVec3)| {
@@ -206,8 +206,8 @@ impl FemCoupling {
         Ok(())
     }
 
-    /// Brings all vertices to where the layer is now, but for the latest forces beyond the near:
-    /// before every search.
+    /// Moves all vertices to the current layer, without the latest forces for those that are not
+    /// near; called before every search.
     pub fn carry(&mut self, layer: &FemLayer, soft: &mut SoftWall) {
         if self.is_stale {
             let now = self.start.iter().zip(&self.drift).map(|(u, v)| *u + self.since * *v);
@@ -221,7 +221,7 @@ impl FemCoupling {
         }
     }
 
-    /// Brings all vertices to where the layer is between outer steps.
+    /// Moves all vertices to the layer between outer steps.
     pub fn settle(&mut self, layer: &FemLayer, soft: &mut SoftWall) {
         self.is_stale = false;
         let now: Vec<DVec3> =
@@ -229,11 +229,10 @@ impl FemCoupling {
         layer.embedding.carry(&now, &layer.velocity, &mut soft.wall_displacement);
     }
 
-    /// Softens the patch by the wall's own answer: the force of each triangle becomes that of its
-    /// foundation in series with the layer.
-    ///
-    /// With A the slope of a triangle's force by the wall's velocity and θ = 1/(1 + A b), the
-    /// solution of `F = F(w) − A b (F − F₀)`, w and F₀ of the last substep, is `θ F(w) + (1 − θ) F₀`.
+    /// Softens the patch by the wall's response: the force of each triangle becomes that of its
+    /// foundation in series with the layer. With A the derivative of a triangle's force by the
+    /// wall's velocity and θ = 1/(1 + A b), the solution of `F = F(w) − A b (F − F₀)`, w and F₀ of
+    /// the last substep, is `θ F(w) + (1 − θ) F₀`.
     pub fn soften(&mut self, soft: &mut SoftWall, dt: f64) {
         let slope = |s: &Samples, i: usize| 0.5 * dt * s.stiffness[i] + s.damping[i];
         let mut slopes = vec![0.0; soft.near.corners.len()];
@@ -272,7 +271,7 @@ impl FemCoupling {
         }
     }
 
-    /// Loads the layer with what the capsule has felt, and moves what is near.
+    /// Applies the contact forces to the layer, and moves the near vertices.
     pub fn push(&mut self, soft: &mut SoftWall, stride: &Stride) {
         let forces = forces(soft, stride, &mut self.state.touched);
         let count = self.near.nodes.len();
@@ -294,8 +293,8 @@ impl FemCoupling {
         soft.wall_travel += stride.dt * fastest;
     }
 
-    /// Displacement and velocity of what is near, from the whole layer's; returns the speed of the
-    /// fastest vertex [m/s].
+    /// Updates displacement and velocity of near nodes from the whole layer; returns the maximum
+    /// speed of near vertices [m/s].
     fn place(&mut self, soft: &mut SoftWall) -> f64 {
         self.displacement = self.local(&self.start);
         let drift = self.local(&self.drift);
@@ -308,7 +307,7 @@ impl FemCoupling {
         self.write(soft)
     }
 
-    /// Velocities of near nodes under the forces of now.
+    /// Computes velocities of near nodes under the current forces.
     fn accelerate(&mut self) {
         self.velocity = self.local(&self.drift);
         let mut beyond = self.local(&self.state.force);
@@ -317,7 +316,7 @@ impl FemCoupling {
         self.near.answer(&beyond, &mut self.velocity);
     }
 
-    /// Writes near vertices into the wall; returns the speed of the fastest [m/s].
+    /// Writes near vertices into the wall; returns their maximum speed [m/s].
     fn write(&self, soft: &mut SoftWall) -> f64 {
         let mut fastest = 0.0f64;
         for (k, &v) in soft.near.vertices.iter().enumerate() {
@@ -329,7 +328,7 @@ impl FemCoupling {
         fastest.sqrt()
     }
 
-    /// Near part of a vector over nodes, and the zero of held ones.
+    /// Near entries of a vector over nodes, and a zero for fixed ones.
     fn local(&self, values: &[DVec3]) -> Vec<DVec3> {
         let near = self.near.nodes.iter().map(|&n| values[n as usize]);
         near.chain([DVec3::ZERO]).collect()

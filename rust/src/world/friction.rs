@@ -1,11 +1,11 @@
-//! Friction and drag of one substep, implicit in the velocity they lead to: the backward rule
-//! neither slides back nor chatters, and at speed it has the full friction.
+//! Friction and drag of one substep, implicit in the final velocity: backward Euler neither slides
+//! back nor chatters, and has the full friction at speed.
 //!
-//! With the normal loads known, the change δ of twist is the least point of a convex function,
-//! `½ δ·A δ − b·δ + dt Σ ψ(slip)`, with ψ′ Coulomb's friction, which grows evenly up to `CREEP`.
-//! Newton's method finds it with a search along each way (Hüeber, Stadler, Wohlmuth, SIAM J. Sci.
-//! Comput. 30, 2008, for the same semismooth slopes). It begins at the last substep's velocity:
-//! what sticks or slides steadily is solved in one round, however light the capsule.
+//! With the normal loads given, the change δ of twist minimizes a convex function,
+//! `½ δ·A δ − b·δ + dt Σ ψ(slip)`, with ψ′ Coulomb's friction, which is linear up to `CREEP`. It is
+//! minimized by Newton's method with line search (Hüeber, Stadler, Wohlmuth, SIAM J. Sci. Comput.
+//! 30, 2008, for the same semismooth slopes), from the last substep's velocity: steady sticking or
+//! sliding is solved in one iteration, however light the capsule.
 
 use super::body::{Body, Motion};
 use super::contact_patch::FacetLoad;
@@ -14,34 +14,34 @@ use super::sliding::{CREEP, Grip};
 use super::solve::{Symmetric6, System, Twist, dot};
 use glam::{DMat3, DVec3};
 
-/// Most rounds of Newton's method; two or three are usual.
+/// Maximum number of Newton iterations; two or three are usual.
 const ROUNDS: usize = 24;
-/// Most trials along one way.
+/// Maximum number of trials of a line search.
 const TRIALS: usize = 16;
-/// A trial is taken where the slope has fallen to this share.
+/// Fraction of the initial slope at which a line search ends.
 const FLAT: f64 = 0.1;
-/// Error of velocity that is left [m/s].
+/// Tolerance of the velocity [m/s].
 const TOLERANCE: f64 = 1e-3 * CREEP;
 
-/// A change of twist, and the impulse it lacks of what it should be.
+/// Change of twist, and its residual impulse.
 #[derive(Clone, Copy)]
 struct Guess {
     change: [f64; 6],
     lack: [f64; 6],
 }
 
-/// What resists the capsule in one substep.
+/// Forces that resist the capsule in one substep.
 pub struct Resistance<'a> {
     pub laws: &'a Laws,
     pub body: &'a Body,
     pub motion: &'a Motion,
-    /// Of the touched triangles.
+    /// Friction of the triangles in contact.
     pub grip: Grip,
     pub dt: f64,
 }
 
 impl<'a> Resistance<'a> {
-    /// Of touched triangles in a time `dt` [s]; None where nothing resists.
+    /// Resistance of triangles in contact over a time `dt` [s]; `None` without any.
     pub fn of(
         laws: &'a Laws,
         (body, motion): (&'a Body, &'a Motion),
@@ -54,7 +54,7 @@ impl<'a> Resistance<'a> {
     }
 }
 
-/// The change of twist under a system and what resists, and the resistance at the center of mass.
+/// Change of twist under a system and a resistance, and the resistance at the center of mass.
 pub fn solve(resistance: Option<&Resistance>, system: &System) -> (Twist, Twist) {
     match resistance {
         Some(resistance) => resistance.solve(system),
@@ -63,8 +63,7 @@ pub fn solve(resistance: Option<&Resistance>, system: &System) -> (Twist, Twist)
 }
 
 impl Resistance<'_> {
-    /// The change of twist under `system` and what resists, and the resistance at the center of
-    /// mass.
+    /// Change of twist under `system`, and the resistance at the center of mass.
     pub fn solve(&self, system: &System) -> (Twist, Twist) {
         let mut guess = self.guess(system, [0.0; 6]);
         for _ in 0..ROUNDS {
@@ -81,8 +80,8 @@ impl Resistance<'_> {
         (Twist::from_array(guess.change), Twist::from_array(force))
     }
 
-    /// The guess towards `way` from another where the function is least; a whole way if it does
-    /// not rise again before its end.
+    /// Searches for the minimum from a guess along the direction `way`; returns the full step if
+    /// the function still falls at its end.
     fn along(&self, system: &System, from: &Guess, way: &[f64; 6]) -> Guess {
         let (mut low, mut high) = ((0.0, dot(&from.lack, way)), None::<(f64, f64)>);
         let enough = FLAT * low.1;
@@ -94,7 +93,7 @@ impl Resistance<'_> {
             if falls.abs() <= enough || (falls > 0.0 && share == 1.0) {
                 break;
             }
-            // Illinois: the end that stays counts half, so that both ends move.
+            // Illinois method: half the value of the end that stays, so that both ends move.
             if falls > 0.0 {
                 high = high.map(|(at, slope)| (at, 0.5 * slope));
                 low = (share, falls);
@@ -109,8 +108,8 @@ impl Resistance<'_> {
         found
     }
 
-    /// Whether no more than the tolerance is to be gained: the capsule is never less inert than its
-    /// mass.
+    /// True if the remaining change is below the tolerance: the system's inertia is at least that
+    /// of the body.
     fn is_done(&self, guess: &Guess, moved: Twist) -> bool {
         let (body, lack) = (self.body, Twist::from_array(guess.lack));
         let left = lack.linear.length() / body.mass;
@@ -132,7 +131,7 @@ impl Resistance<'_> {
         Guess { change, lack }
     }
 
-    /// Friction of all triangles and drag on the whole, at the center of mass.
+    /// Friction of all triangles and drag on the body, at the center of mass.
     fn force(&self, twist: &Twist) -> Twist {
         let (_, drag, turning) = self.drag(twist);
         let mut force = self.grip.force(twist);
@@ -140,12 +139,12 @@ impl Resistance<'_> {
         force
     }
 
-    /// How the impulse that is needed grows with the change.
+    /// Jacobian of the residual impulse by the change of twist.
     fn slope(&self, system: &System, guess: &Guess) -> Symmetric6 {
         let (mut slope, twist) = (system.matrix, self.twist(&guess.change));
         let (speed, drag, turning) = self.drag(&twist);
         let way = twist.linear / speed.max(f64::MIN_POSITIVE);
-        // Across the velocity drag turns with it; along it, it grows by its law.
+        // Across the velocity, drag rotates with it; along it, drag grows by its law.
         let along =
             if speed > CREEP { self.laws.drag.slope(speed) + self.laws.viscosity } else { drag };
         let outer = DMat3::from_cols(way * way.x, way * way.y, way * way.z);
@@ -160,7 +159,7 @@ impl Resistance<'_> {
         slope
     }
 
-    /// Speed of the capsule as a whole, and its drag over velocity and angular velocity.
+    /// Speed of the capsule, and its drag coefficients by velocity and by angular velocity.
     fn drag(&self, twist: &Twist) -> (f64, f64, f64) {
         let (laws, speed) = (self.laws, twist.linear.length());
         let by_speed = laws.drag.resistance(speed) / speed.max(CREEP) + laws.viscosity;
@@ -185,8 +184,8 @@ mod tests {
         move || DVec3::new(next(), next(), next())
     }
 
-    /// A capsule of 3 g in a few hundred random grips of 0.1 N together, at up to 20 mm/s and pulled
-    /// below, about and above their limit: what the solution lacks is below the tolerance.
+    /// Solves for a capsule of 3 g in a few hundred random grips of 0.1 N in total, at up to 20
+    /// mm/s, pulled below, about and above their limit: the residual is below the tolerance.
     #[test]
     fn newton_converges_whatever_the_grips() {
         let foundation = WinklerFoundation::new([1e6, 1e-3, 0.1, 1e-3], 5.5e-3);

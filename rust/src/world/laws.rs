@@ -1,9 +1,9 @@
-//! Laws between the capsule, the wall and what fills the lumen: stiffness and resistance.
+//! Laws between capsule, wall and lumen contents: stiffness and resistance.
 
 use crate::tissue::drag::Drag;
 use crate::tissue::winkler_foundation::WinklerFoundation;
 
-/// Laws that hold between capsule, wall and what fills the lumen.
+/// Laws between capsule, wall and lumen contents.
 #[derive(Clone, Copy)]
 pub struct Laws {
     /// Stiffness of the wall.
@@ -12,12 +12,12 @@ pub struct Laws {
     pub drag: Drag,
     /// Viscous coefficient γ of the mucus [N·s/m].
     pub viscosity: f64,
-    /// One over the time τ in which what fills the lumen takes a capsule's momentum [1/s].
+    /// Inverse of the time τ in which the lumen contents absorb a capsule's momentum [1/s].
     pub relaxation_rate: f64,
 }
 
 impl Laws {
-    /// Whether the wall resists sliding.
+    /// True if the wall resists sliding.
     pub fn resist(&self) -> bool {
         self.drag.friction() != 0.0 || self.viscosity != 0.0 || self.drag.is_logarithmic()
     }

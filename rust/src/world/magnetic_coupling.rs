@@ -1,4 +1,4 @@
-//! What sources outside do to the capsule's magnets, substep by substep.
+//! Action of external sources on the capsule's magnets, substep by substep.
 
 use super::body::{Body, Motion};
 use super::parameters::principal_axes;
@@ -7,18 +7,18 @@ use super::solve::{Symmetric6, Twist};
 use crate::magnet::sources::{InternalMagnet, Place, Source, Wrench, field, wrench};
 use glam::{DMat3, DQuat, DVec3};
 
-/// Most of a swing, in radians of its phase, that a substep may take: a leapfrog is stable below 2.
+/// Maximum phase of an oscillation per substep [rad]: a leapfrog is stable below 2.
 const LONGEST_SWING: f64 = 0.5;
-/// Numbers for where a source is: place, quaternion wxyz, strength.
+/// Numbers of a source's pose: position, quaternion wxyz, strength.
 pub const SOURCE_ROW: usize = 8;
 
-/// How far away the force is looked at for its slope [m].
+/// Step of the finite difference of the force [m].
 const PROBE: f64 = 1e-4;
 
-/// What Python is told, see `MagneticCoupling::report`.
+/// Result of `MagneticCoupling::report` for Python.
 pub type Report = ([f64; 3], [f64; 3], [f64; 3], [f64; 9], u8, [f64; 3], f64);
 
-/// Where one source goes during a step.
+/// Trajectory of one source during a step.
 struct Way {
     start: DVec3,
     span: DVec3,
@@ -28,23 +28,23 @@ struct Way {
     strength: (f64, f64),
 }
 
-/// Sources in the world and magnets in the capsule.
+/// External sources and magnets in the capsule.
 #[derive(Default)]
 pub struct MagneticCoupling {
     sources: Vec<Source>,
     inside: Vec<InternalMagnet>,
     ways: Vec<Way>,
-    /// From the wall's frame to the world's.
+    /// Rotation from the wall's frame to the world's.
     rotation: DQuat,
     offset: DVec3,
-    /// Time since the step began and how long it takes [s].
+    /// Time since the start of the step, and its duration [s].
     clock: f64,
     duration: f64,
-    /// Impulse since the step began, in the world.
+    /// Impulse since the start of the step, in the world.
     impulse: Twist,
-    /// The worst place since the step began.
+    /// Worst region of the field since the start of the step.
     place: Place,
-    /// Largest torque that the field has for the magnets [N·m].
+    /// Maximum torque of the field on the magnets in any orientation [N·m].
     hold: f64,
     /// Wrench and stiffness of the last `hold_back`.
     pulled: Twist,
@@ -70,7 +70,7 @@ impl Way {
         }
     }
 
-    /// Puts the source where it is after a share of the step: straight on, by the shortest turn.
+    /// Moves a source to a fraction of the step: along a line, by the shortest rotation.
     fn put(&self, source: &mut Source, share: f64) {
         source.position = self.start + share * self.span;
         source.strength = self.strength.0 + share * (self.strength.1 - self.strength.0);
@@ -91,18 +91,18 @@ fn quaternion(axis: DVec3, angle: f64) -> DQuat {
 }
 
 impl MagneticCoupling {
-    /// Sources, wherever they are, and the capsule's magnets.
+    /// Coupling of sources, at any pose, and the capsule's magnets.
     pub fn new(sources: Vec<Source>, inside: Vec<InternalMagnet>) -> Self {
         MagneticCoupling { sources, inside, ..MagneticCoupling::default() }
     }
 
-    /// How many rows `aim` needs.
+    /// Number of rows that `aim` requires.
     pub fn count(&self) -> usize {
         self.sources.len()
     }
 
-    /// Sets the sources on their way from rows to rows within `duration` [s]; `pose` is the wall's
-    /// in the world.
+    /// Sets the trajectories of the sources from rows to rows within `duration` [s]; `pose` is that
+    /// of the wall in the world.
     pub fn aim(
         &mut self,
         (begin, end): (&[f64], &[f64]),
@@ -127,16 +127,16 @@ impl MagneticCoupling {
         wrench(&self.sources, &self.inside, position, self.rotation * motion.rotation)
     }
 
-    /// Parts of a substep of `dt` [s] that follow the capsule's swing in the field.
+    /// Number of parts of a substep of `dt` [s] that resolve the oscillation in the field.
     pub fn parts(&self, body: &Body, dt: f64) -> f64 {
         (dt * (self.hold / body.moments.min_element()).sqrt() / LONGEST_SWING).ceil()
     }
 
     /// Wrench over the next substep of `dt` [s], in the wall's frame.
     ///
-    /// It is that of the middle of the substep, of sources and of the freely moving capsule. With
-    /// the capsule's own drift this is the leapfrog, which keeps the energy of a swing; the wrench
-    /// of the beginning would feed it.
+    /// It is evaluated at the middle of the substep, for sources and the freely moving capsule.
+    /// With the drift of the capsule this is the leapfrog, which conserves the energy of an
+    /// oscillation; the wrench of the start would increase it.
     pub fn pull(&mut self, body: &Body, motion: &Motion, dt: f64) -> Result<Twist, &'static str> {
         let share = (self.clock + 0.5 * dt) / self.duration;
         self.clock += dt;
@@ -146,7 +146,7 @@ impl MagneticCoupling {
         Ok(self.in_wall(&pulled))
     }
 
-    /// Wrench at a pose, of the sources after a share of the step.
+    /// Wrench at a pose, with the sources at a fraction of the step.
     fn wrench_at(
         &mut self,
         share: f64,
@@ -175,11 +175,11 @@ impl MagneticCoupling {
         Twist { linear: back * pulled.force, angular: back * pulled.torque }
     }
 
-    /// Wrench at the pose now of the sources after a part of `h` [s], and the stiffness with which
-    /// they hold the capsule there, in the wall's frame.
+    /// Wrench at the current pose with the sources after an interval `h` [s], and the stiffness
+    /// with which they hold the capsule there, in the wall's frame.
     ///
-    /// The force's is the positive part of −∂F/∂x; the torque's is hold · (I − m̂ m̂ᵀ), which is exact
-    /// for an aligned moment m and more than enough elsewhere.
+    /// The stiffness of the force is the positive part of −∂F/∂x; that of the torque is
+    /// `hold · (I − m̂ m̂ᵀ)`, exact for an aligned moment m and an upper bound elsewhere.
     pub fn hold_back(
         &mut self,
         body: &Body,
@@ -210,7 +210,7 @@ impl MagneticCoupling {
         Ok((self.pulled, stiffness))
     }
 
-    /// Takes a part of `h` [s], of which so much was taken, at a twist in the wall's frame.
+    /// Advances by `taken` of an interval `h` [s], at a twist in the wall's frame.
     pub fn pass(&mut self, taken: f64, h: f64, twist: &Twist) {
         let lost = Twist::from_array(self.stiffness.times(&twist.to_array()));
         let (force, torque) = (self.pulled.linear, self.pulled.angular);
@@ -231,16 +231,16 @@ impl MagneticCoupling {
         Ok(())
     }
 
-    /// Puts the sources at the end of their ways.
+    /// Moves the sources to the end of their trajectories.
     pub fn finish(&mut self) {
         for (way, source) in self.ways.iter().zip(&mut self.sources) {
             way.put(source, 1.0);
         }
     }
 
-    /// Mean force [N] and torque [N·m] since the step began, flux density [T] and its gradient by
-    /// rows [T/m] amid the magnets of a capsule at a pose, the worst place meanwhile, where their
-    /// middle is [m], and the angle between their moment and the field [rad]; all in the world.
+    /// Mean force [N] and torque [N·m] since the start of the step, flux density [T] and its
+    /// gradient by rows [T/m] at the center of the magnets of a capsule at a pose, worst region
+    /// since the start, center [m], angle between moment and field [rad]; all in the world.
     pub fn report(&self, (rotation, position): (DMat3, DVec3)) -> Report {
         let over = if self.clock > 0.0 { 1.0 / self.clock } else { 0.0 };
         let total: f64 = self.inside.iter().map(|m| m.moment.length()).sum();
@@ -260,7 +260,7 @@ impl MagneticCoupling {
     }
 }
 
-/// Where free motion brings the capsule in half of `dt` [s].
+/// Pose of the capsule after free motion over half of `dt` [s].
 fn halfway(motion: &Motion, dt: f64) -> Motion {
     let speed = motion.angular_velocity.length();
     let rotation = if speed > 0.0 {

@@ -1,6 +1,6 @@
-//! How the capsule moves: a rigid body in a soft wall.
+//! Dynamics of the capsule: a rigid body in a soft wall.
 //!
-//! Everything here is in double precision, in meters, kilograms and seconds, about the wall's
+//! All values are in double precision, in meters, kilograms and seconds, relative to the wall's
 //! center. One thread steps one world, so that results do not depend on the number of threads.
 
 mod barrier;

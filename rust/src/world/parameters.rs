@@ -1,4 +1,4 @@
-//! What a world is made of, as Python gives it.
+//! Parameters of a world, extracted from Python objects.
 
 use super::body::Body;
 use super::laws::Laws;
@@ -13,7 +13,7 @@ use glam::{DMat3, DQuat, DVec3};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-/// The body of a capsule: `vrcaps.capsule.device.Body`.
+/// Body of a capsule: `vrcaps.capsule.device.Body`.
 #[derive(FromPyObject)]
 pub struct BodyParameters<'py> {
     mass: f64,
@@ -23,7 +23,7 @@ pub struct BodyParameters<'py> {
     radius: f64,
 }
 
-/// The wall's pressure: `vrcaps.tissue.tissue.WinklerFoundation`.
+/// Pressure of the wall: `vrcaps.tissue.tissue.WinklerFoundation`.
 #[derive(FromPyObject)]
 pub struct FoundationParameters {
     stiffness: f64,
@@ -32,7 +32,7 @@ pub struct FoundationParameters {
     rate: f64,
 }
 
-/// The wall's resistance: `vrcaps.tissue.tissue.Drag`.
+/// Resistance of the wall: `vrcaps.tissue.tissue.Drag`.
 #[derive(FromPyObject)]
 pub struct DragParameters {
     law: String,
@@ -46,10 +46,10 @@ pub struct DragParameters {
     relaxation_time: Option<f64>,
 }
 
-/// Time τ in which a capsule in quasi-static motion loses its momentum where none is given [s].
+/// Default time τ in which a capsule in quasi-static motion loses its momentum [s].
 const QUASI_STATIC_RELAXATION: f64 = 0.1;
 
-/// The spring wall: `vrcaps.tissue.tissue.SpringWall`.
+/// Spring wall: `vrcaps.tissue.tissue.SpringWall`.
 #[derive(FromPyObject)]
 pub struct SpringWallParameters {
     length: f64,
@@ -59,7 +59,7 @@ pub struct SpringWallParameters {
     damping: f64,
 }
 
-/// Laws between a capsule of a radius [m], the wall and what fills the lumen.
+/// Laws between a capsule of a radius [m], the wall and the lumen contents.
 pub fn laws(
     foundation: FoundationParameters,
     drag: DragParameters,
@@ -97,10 +97,10 @@ pub fn laws(
     }
 }
 
-/// Numbers of a load.
+/// Count of numbers of a load.
 pub const LOAD_ROW: usize = 10;
 
-/// Force, torque, gravity and damping in a row.
+/// Load from a row of force, torque, gravity and damping.
 pub fn load(row: &[f64]) -> Load {
     let wrench = Twist { linear: vector(row), angular: vector(&row[3..]) };
     Load { wrench, gravity: vector(&row[6..]), damping: row[9] }
@@ -124,7 +124,7 @@ impl TryFrom<BodyParameters<'_>> for Body {
     fn try_from(p: BodyParameters) -> PyResult<Self> {
         let (inertia, center) = (three_rows(&p.inertia)?.transpose(), p.center.as_array());
         if center.len() != 3 {
-            return Err(PyValueError::new_err("The center of a body has three numbers."));
+            return Err(PyValueError::new_err("The center of a body needs three numbers."));
         }
         let (moments, axes) = principal_axes(inertia);
         Ok(Body {
@@ -138,7 +138,7 @@ impl TryFrom<BodyParameters<'_>> for Body {
     }
 }
 
-/// Eigenvalues and right-handed eigenvectors of a symmetric matrix, by Jacobi's rotations.
+/// Eigenvalues and right-handed eigenvectors of a symmetric matrix, by Jacobi rotations.
 pub fn principal_axes(mut a: DMat3) -> (DVec3, DMat3) {
     let mut axes = DMat3::IDENTITY;
     for _ in 0..32 {

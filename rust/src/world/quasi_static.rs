@@ -1,14 +1,14 @@
-//! Quasi-static motion: the capsule goes at the velocity at which all that acts on it is in balance.
+//! Quasi-static motion: the capsule moves at the velocity at which all forces on it are in balance.
 //!
-//! A time is cut into parts, in which no point of the capsule goes farther than `LONGEST_WAY`. In
-//! each the twist ξ at its end is solved for (backward Euler), from the pose at its beginning:
+//! A step is divided into parts, in which no point of the capsule moves farther than `LONGEST_WAY`.
+//! In each the twist ξ at its end is solved for (backward Euler), from the pose at its start:
 //!
 //! `M ξ/τ + Σ j P(u + h s, s) + friction(ξ) = F − h K ξ`
 //!
-//! with the wrench F of sources (at the end of the part), gravity and commands, K the part of their
-//! stiffness that holds the capsule back, and P the load of each piece of the wall, linear about the
-//! last twist and never below 0. There is no inertia: what is left of the mass is the drag M/τ of
-//! what fills the lumen, by which momentum is lost within τ.
+//! with F the wrench of sources (at the end of the part), gravity and commands, K the part of the
+//! sources' stiffness that holds the capsule back, and P the load of each piece of the wall, linear
+//! about the last twist and never below 0. There is no inertia: the mass appears only in the drag
+//! M/τ of the lumen contents, by which momentum is lost within τ.
 
 use super::barrier::keep_out;
 use super::body::Motion;
@@ -20,43 +20,43 @@ use super::time_stepping::{StepTotals, Stepper, fastest_point};
 use crate::wall::Wall;
 use glam::DQuat;
 
-/// Farthest that any point of the capsule goes in one part [m].
+/// Maximum displacement of any point of the capsule in one part [m].
 const LONGEST_WAY: f64 = 5e-4;
-/// Longest part [s].
+/// Maximum duration of a part [s].
 const LONGEST_PART: f64 = 1.0 / 60.0;
-/// Most parts a second: a capsule that would need more is slower.
+/// Maximum number of parts per second: a capsule that would need more is slowed down.
 const MOST_PARTS: f64 = 1500.0;
-/// No step is longer [s].
+/// Upper limit of the duration of a step [s].
 const LONGEST_STEP: f64 = 1000.0;
-/// Most rounds in which pieces of the wall let go and hold again.
+/// Maximum number of iterations in which pieces of the wall lose and regain contact.
 const ROUNDS: usize = 4;
-/// Share of the longest way by which a round may still change the way.
+/// Change of displacement that ends the iterations, as a fraction of the maximum displacement.
 const SETTLED: f64 = 0.02;
 
-/// What acts on the capsule besides the wall, linear in its twist.
+/// Forces on the capsule except those of the wall, linear in its twist.
 struct Pull {
-    /// At the pose now and without the drag [N, N·m].
+    /// Wrench at the current pose, without drag [N, N·m].
     wrench: Twist,
-    /// What a twist takes away of it [N·s/m, …].
+    /// Decrease of the wrench by a twist [N·s/m, …].
     resistance: Symmetric6,
 }
 
-/// What one part is solved for.
+/// Solution of one part.
 struct Part {
-    /// How long it is [s].
+    /// Duration [s].
     h: f64,
     pull: Pull,
-    /// What resists a change of twist, but for friction.
+    /// Resistance to a change of twist, except friction.
     matrix: Symmetric6,
     change: Twist,
     /// Friction and drag of the wall at the center of mass.
     resistance: Twist,
-    /// Touched triangles without those that only the barrier holds.
+    /// Number of triangles in contact, except those of the barrier.
     num_pressed: usize,
 }
 
 impl Part {
-    /// The twist at its end.
+    /// Twist at the end of the part.
     fn twist(&self, m: &Motion) -> Twist {
         let (linear, angular) = (self.change.linear, self.change.angular);
         Twist { linear: m.velocity + linear, angular: m.angular_velocity + angular }
@@ -64,10 +64,10 @@ impl Part {
 }
 
 impl Stepper {
-    /// Moves on by a `duration` [s] in parts.
+    /// Advances by a `duration` [s] in parts.
     pub fn relax(&mut self, wall: &mut Wall, load: &Load, duration: f64) -> Outcome {
         if !(duration > 0.0 && duration < LONGEST_STEP) {
-            return Err("Quasi-static motion takes steps of above 0 to 1000 s.");
+            return Err("Quasi-static motion needs steps above 0 and below 1000 s.");
         }
         let (mut totals, mut left) = (StepTotals::default(), duration);
         let most = (MOST_PARTS * duration).ceil() as usize;
@@ -81,7 +81,7 @@ impl Stepper {
         Ok(())
     }
 
-    /// One part of what is `left` [s], all of it where it must be the last; returns its length.
+    /// Advances by one part of `left` [s], or by all of it if `is_last`; returns its duration.
     fn part(
         &mut self,
         wall: &mut Wall,
@@ -115,7 +115,7 @@ impl Stepper {
         Ok(taken)
     }
 
-    /// The change of twist in a part of `h` [s], but for the barrier.
+    /// Solves for the change of twist in a part of `h` [s], without the barrier.
     fn solve(&mut self, load: &Load, h: f64) -> Result<Part, &'static str> {
         let pull = self.pull(load, h)?;
         self.soft.find_answers(self.spring_wall.as_ref(), h);
@@ -137,7 +137,7 @@ impl Stepper {
         Ok(Part { h, pull, matrix, change, resistance, num_pressed: facet_loads.len() })
     }
 
-    /// Wrench of sources, gravity and commands, and what a twist takes away of it.
+    /// Wrench of sources, gravity and commands, and its decrease by a twist.
     fn pull(&mut self, load: &Load, h: f64) -> Result<Pull, &'static str> {
         let (body, motion) = (&self.body, &self.motion);
         let mut wrench = load.wrench;
@@ -154,7 +154,7 @@ impl Stepper {
         Ok(Pull { wrench, resistance })
     }
 
-    /// Linear system of a part, of the pieces of wall that hold after a `change` of twist.
+    /// Linear system of a part, for the pieces of wall in contact after a `change` of twist.
     fn system(&self, pull: &Pull, change: &Twist, h: f64) -> System {
         let now = Twist { linear: self.motion.velocity, angular: self.motion.angular_velocity };
         let lost = pull.resistance.times(&now.to_array());
@@ -177,7 +177,7 @@ impl Stepper {
         part.change = keep_out(moving, facets, &part.matrix, part.change, loads, part.h);
     }
 
-    /// Adds what a part did in the time that it took [s].
+    /// Adds the impulses and work of a part over the time `taken` [s].
     fn reckon(&mut self, part: &Part, twist: &Twist, taken: f64, totals: &mut StepTotals) {
         let lost = Twist::from_array(part.pull.resistance.times(&twist.to_array()));
         let loads = self.soft.patch.facet_loads.iter().map(|on_facet| on_facet.load);
@@ -192,7 +192,7 @@ impl Stepper {
         }
     }
 
-    /// Lets a spring wall give way by a share of a part of `h` [s].
+    /// Displaces a spring wall by a fraction of a part of `h` [s].
     fn yield_wall(&mut self, wall: &Wall, h: f64, share: f64) {
         if let Some(spring_wall) = &self.spring_wall {
             let (soft, motion) = (&mut self.soft, &self.motion);
@@ -202,7 +202,7 @@ impl Stepper {
     }
 }
 
-/// Where a twist brings the capsule in a `time` [s], of which it takes so much.
+/// Motion after a `time` [s] at a twist, over which the duration `taken` [s] passes.
 fn go(m: &Motion, time: f64, taken: f64) -> Motion {
     let speed = m.angular_velocity.length();
     let turn = if speed > 0.0 {

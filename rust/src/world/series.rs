@@ -1,11 +1,11 @@
-//! Pieces of the foundation and the springs under them in series, over one part of quasi-static
+//! Pieces of the foundation in series with the springs under them, over one part of quasi-static
 //! motion.
 //!
-//! In a part of length h the springs give way to a force F by `C (F − k x)`, `C = h / (m μ + h k)`:
-//! their own update without inertia, backward in time. Where the push on the triangle's vertices is
-//! ρ times its load P, and its pieces grow by K with depth and c with speed, P changes with the
-//! capsule's twist by 1 / (1 + (K + c/h) C ρ) of what it would on a rigid base. So capsule and wall
-//! are solved for together, and neither pushes the other back and forth.
+//! In a part of length h the springs yield to a force F by `C (F − k x)`, `C = h / (m μ + h k)`:
+//! their own update without inertia, by backward Euler. If the force on the triangle's vertices is
+//! ρ times its load P, and the load of its pieces grows by K with depth and c with speed, P changes
+//! with the capsule's twist by 1 / (1 + (K + c/h) C ρ) of the change on a rigid base. Capsule and
+//! wall are thus solved together, without oscillation between them.
 
 use super::contact_patch::{FacetLoad, Samples};
 use super::soft_wall::{MARGIN, SoftWall};
@@ -15,37 +15,37 @@ use crate::tissue::spring_wall::{SpringWall, attenuate};
 use crate::wall::Wall;
 use glam::DVec3;
 
-/// How the loads of eight pieces of the wall answer a change of the capsule's twist.
+/// Response of the loads of eight pieces of the wall to a change of the capsule's twist.
 #[derive(Clone, Copy, Default)]
 struct Answer {
-    /// At the twist of the last part [N].
+    /// Load at the twist of the last part [N].
     base: Lane,
-    /// Growth with the speed of indentation [N·s/m].
+    /// Derivative by the speed of indentation [N·s/m].
     slope: Lane,
 }
 
-/// One touched triangle in series with the springs under it.
+/// Triangle in contact in series with the springs under it.
 #[derive(Clone, Copy, Default)]
 struct Softness {
-    /// Slopes of its pieces by depth [N/m] and speed [N·s/m].
+    /// Derivatives of its load by depth [N/m] and speed [N·s/m].
     stiffness: f64,
     damping: f64,
-    /// Share of the load's answer that is left.
+    /// Remaining fraction of the load's response.
     share: f64,
-    /// How much slower the springs would give way to the loads now than they did [m/s].
+    /// Decrease of the springs' speed under the current loads [m/s].
     lead: f64,
 }
 
-/// What is kept to be overwritten.
+/// Buffers that are reused.
 #[derive(Default)]
 pub struct Series {
     answers: Vec<Answer>,
     soft: Vec<Softness>,
-    /// Number among the touched triangles of each near one.
+    /// Index among the triangles in contact of each near triangle.
     numbers: Vec<u32>,
 }
 
-/// Force and torque of the wall against the capsule's normals, and their growth with its twist.
+/// Force and torque of the wall against the capsule's normals, and their derivatives by its twist.
 pub struct WallForce {
     pub force: [f64; 6],
     pub slope: [[f64; 6]; 6],
@@ -64,7 +64,7 @@ impl Answer {
 }
 
 impl SoftWall {
-    /// Finds how the touched pieces answer in a part of `h` [s].
+    /// Computes the response of the pieces in contact in a part of `h` [s].
     pub fn find_answers(&mut self, spring_wall: Option<&SpringWall>, h: f64) {
         self.number_facets();
         self.soften(spring_wall, h);
@@ -85,7 +85,7 @@ impl SoftWall {
         }
     }
 
-    /// Numbers the touched triangles and sums the slopes of their pieces.
+    /// Numbers the triangles in contact and sums the slopes of their pieces.
     fn number_facets(&mut self) {
         let Series { soft, numbers, .. } = &mut self.series;
         numbers.clear();
@@ -106,8 +106,8 @@ impl SoftWall {
         }
     }
 
-    /// Finds how far the springs under each touched triangle soften it; `contact_forces` are those
-    /// of the loads now.
+    /// Computes the softening of each triangle in contact by the springs under it; `contact_forces`
+    /// are those of the current loads.
     fn soften(&mut self, spring_wall: Option<&SpringWall>, h: f64) {
         let Some(spring_wall) = spring_wall else { return };
         let mut places = std::mem::take(&mut self.places);
@@ -141,12 +141,12 @@ impl SoftWall {
         }
     }
 
-    /// The vertex at a corner of a touched triangle.
+    /// Vertex at a corner of a triangle in contact.
     fn corner(&self, on_facet: &FacetLoad, corner: usize) -> u32 {
         self.near.vertices[self.near.corners[on_facet.place as usize][corner] as usize]
     }
 
-    /// What the wall does after a change of twist, linear about it: pieces that let go do nothing.
+    /// Force after a change of twist, linear about it: pieces out of contact exert none.
     pub fn force_after(&self, change: &[f64; 6]) -> WallForce {
         let mut sums = Sums::default();
         add_answers(&mut sums, &self.patch.samples, &self.series.answers, change);
@@ -160,7 +160,7 @@ impl SoftWall {
         answer
     }
 
-    /// Gives the first `count` touched triangles their loads after a change of twist.
+    /// Sets the loads of the first `count` triangles in contact after a change of twist.
     pub fn load_facets(&mut self, count: usize, change: &[f64; 6]) {
         let Series { answers, numbers, .. } = &self.series;
         let (lanes, loads) = self.patch.lanes_and_loads();
@@ -175,7 +175,7 @@ impl SoftWall {
         }
     }
 
-    /// Lets the springs give way by a share of a part of `h` [s] to `contact_forces`.
+    /// Displaces the springs under `contact_forces` by a fraction of a part of `h` [s].
     pub fn relax(&mut self, wall: &Wall, spring_wall: &SpringWall, h: f64, share: f64) {
         self.awaken(wall, spring_wall);
         self.move_awake(spring_wall, share, |vertex, force| {
@@ -186,7 +186,7 @@ impl SoftWall {
         });
     }
 
-    /// How far the capsule may go before it can touch anything [m]; 0 where it may touch now.
+    /// Distance that the capsule can move without contact [m]; 0 if contact is possible now.
     pub fn free_way(&self) -> f64 {
         let least = self.clear.iter().fold(f64::INFINITY, |least, &clear| least.min(clear));
         (least - self.travel).clamp(0.0, MARGIN)

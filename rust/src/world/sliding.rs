@@ -1,25 +1,25 @@
-//! Friction of the touched triangles against a capsule's twist, side by side in lanes.
+//! Friction of the triangles in contact against a capsule's twist, in SIMD lanes.
 
 use super::contact_patch::FacetLoad;
 use super::solve::{Symmetric6, Twist};
 use crate::simd::f64x8::{LANES, Lane, Lane3, at, max, put, sum};
 use glam::DVec3;
 
-/// Sliding slower than this counts as creep under friction that does not suffice to slide [m/s].
+/// Speed below which sliding is regularized, as creep under less friction than the limit [m/s].
 pub const CREEP: f64 = 1e-5;
 
-/// Eight triangles that hold the capsule.
+/// Eight triangles in frictional contact.
 #[derive(Clone)]
 struct Grips {
-    /// From the center of mass to the middle of the pressure [m].
+    /// Vector from the center of mass to the center of pressure [m].
     arm: Lane3,
     /// Unit normal of the capsule there.
     normal: Lane3,
     /// Velocity of the wall there [m/s].
     velocity: Lane3,
-    /// Most that friction holds [N]; 0 in a lane that is not used.
+    /// Friction limit [N]; 0 in an unused lane.
     limit: Lane,
-    /// Speed at which it holds that [m/s].
+    /// Speed at which the limit is reached [m/s].
     creep: Lane,
 }
 
@@ -31,16 +31,16 @@ const NO_GRIPS: Grips = Grips {
     creep: [CREEP; LANES],
 };
 
-/// All triangles that hold the capsule.
+/// All triangles in frictional contact.
 pub struct Grip(Vec<Grips>);
 
-/// One triangle at one twist.
+/// Sliding of one triangle at one twist.
 struct Slip {
     arm: DVec3,
-    /// Of the capsule along the wall [m/s].
+    /// Velocity of the capsule along the wall [m/s].
     velocity: DVec3,
     speed: f64,
-    /// Friction over velocity [N·s/m].
+    /// Friction divided by speed [N·s/m].
     by_speed: f64,
 }
 
@@ -55,7 +55,7 @@ impl FacetLoad {
 }
 
 impl Grip {
-    /// Of triangles with a coefficient of friction on a capsule about `position`.
+    /// Grip of triangles with a coefficient of friction on a capsule about `position`.
     pub fn new(facet_loads: &[FacetLoad], friction: f64, position: DVec3) -> Self {
         let held = if friction > 0.0 { facet_loads } else { &[] };
         let mut grips = vec![NO_GRIPS; held.len().div_ceil(LANES)];
@@ -77,7 +77,7 @@ impl Grip {
         Twist::from_array(sums.map(|lane| -sum(&lane)))
     }
 
-    /// Adds how their impulse over `dt` falls with the twist.
+    /// Adds the decrease of their impulse over `dt` by the twist.
     pub fn add_slope(&self, twist: &Twist, dt: f64, slope: &mut Symmetric6) {
         let mut sums = [[[0.0; LANES]; 6]; 6];
         add_slopes(&self.0, twist, &mut sums);
@@ -99,8 +99,8 @@ impl Grips {
         Slip { arm, velocity, speed, by_speed: self.limit[i] / max(speed, self.creep[i]) }
     }
 
-    /// How friction grows with the twist, rows of force and then of torque. At its limit it only
-    /// turns with the slip; below, it grows evenly.
+    /// Jacobian of friction by the twist, rows of force and then of torque. At its limit, friction
+    /// only rotates with the slip; below, it is linear.
     #[inline(always)]
     fn slope(&self, i: usize, twist: &Twist) -> [[f64; 6]; 6] {
         let Slip { arm, velocity, speed, by_speed } = self.slip(i, twist);

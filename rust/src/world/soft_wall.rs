@@ -1,4 +1,4 @@
-//! The wall of one world: where it is driven, how far it gives way, what of it is near.
+//! Wall of one world: prescribed motion, displacement by contact, and the part near the capsule.
 
 use super::body::{Axis, Body, Motion};
 use super::broad_phase::{Bounds, NearbyWall, point};
@@ -11,35 +11,35 @@ use crate::wall::Wall;
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// How far capsule and wall may move before what is near is searched anew [m].
+/// Travel of capsule and wall after which near triangles are searched again [m].
 pub const MARGIN: f64 = 1e-3;
 
-/// How far pushes may go before the vertices that they move are searched anew [m].
+/// Travel of contact forces after which the vertices that they move are searched again [m].
 const AWAKE_MARGIN: f64 = 2e-3;
 
-/// Rounding in what is known of distances [m].
+/// Rounding error of distances [m].
 const CLOSE: f64 = 1e-9;
 
-/// What went wrong, in words for the user.
+/// Result with an error message for the user.
 pub type Outcome = Result<(), &'static str>;
 
-/// How the lumen narrows and widens: vertices go towards the centerline.
+/// Radial motion of the lumen: vertices move towards the centerline.
 pub struct Drive {
-    /// Vertices at rest [m], about the wall's center.
+    /// Vertices at rest [m], relative to the wall's center.
     rest: Vec<DVec3>,
-    /// From each vertex to the centerline [m].
+    /// Vector from each vertex to the centerline [m].
     inward: Vec<DVec3>,
-    /// Place of each vertex along the samples of `lumen_scale`, 0 or more.
+    /// Index of each vertex along the samples of `lumen_scale`, 0 or more.
     sample: Vec<f64>,
-    /// Longest way to the centerline between two samples [m].
+    /// Maximum distance to the centerline between two samples [m].
     longest: Vec<f64>,
 }
 
-/// Where a step drives the wall.
+/// Prescribed motion of the wall in a step.
 struct Way {
-    /// Share of the lumen's radius at rest that its end has at each sample.
+    /// Lumen radius at the end of the step at each sample, as a factor of that at rest.
     lumen_scale: Vec<f64>,
-    /// How fast that shrinks [1/s].
+    /// Rate of decrease of the factor [1/s].
     shrinking: Vec<f64>,
 }
 
@@ -55,7 +55,7 @@ impl Drive {
         Drive { rest, inward, sample, longest }
     }
 
-    /// What a vertex has of values given at the samples.
+    /// Value at a vertex, interpolated from values at the samples.
     #[inline(always)]
     fn share(&self, v: usize, samples: &[f64]) -> f64 {
         let last = samples.len() - 1;
@@ -65,13 +65,13 @@ impl Drive {
         here + (sample - first as f64) * (next - here)
     }
 
-    /// Where a vertex is for a `lumen_scale`, given as factors of the lumen's radius at rest.
+    /// Position of a vertex for a `lumen_scale`, given as factors of the lumen's radius at rest.
     #[inline(always)]
     fn place(&self, v: usize, lumen_scale: &[f64]) -> DVec3 {
         self.rest[v] + self.inward[v] * (1.0 - self.share(v, lumen_scale))
     }
 
-    /// How fast the fastest vertex goes, at most [m/s].
+    /// Upper bound of the vertices' speed [m/s].
     fn fastest(&self, shrinking: &[f64]) -> f64 {
         let last = shrinking.len() - 1;
         let larger =
@@ -81,52 +81,52 @@ impl Drive {
     }
 }
 
-/// Where pushes find all vertices that they move awake.
+/// Region in which contact forces move only awake vertices.
 struct Awoken {
-    /// About the pushes for which they were searched.
+    /// Bounding box of the contact forces at the search.
     bounds: Bounds,
-    /// How far beyond it pushes may be [m].
+    /// Permitted distance of contact forces from the box [m].
     margin: f64,
 }
 
-/// The wall's part of the state, and what is kept between substeps.
+/// State of the wall, and data kept between substeps.
 pub struct SoftWall {
-    /// Where the wall would be if nothing touched it [m], about its center.
+    /// Positions of the vertices without contact [m], relative to the wall's center.
     pub active_wall: Vec<DVec3>,
-    /// How it can be driven.
+    /// Prescribed motions that the wall supports.
     pub drive: Option<Drive>,
-    /// Where this step drives it; None when it rests.
+    /// Prescribed motion of this step; `None` at rest.
     way: Option<Way>,
-    /// Bound on how fast that is [m/s].
+    /// Upper bound of the speed of the prescribed motion [m/s].
     pub active_speed: f64,
-    /// How far each vertex gives way.
+    /// Displacement of each vertex by contact.
     pub wall_displacement: Vec<VertexMotion>,
-    /// Vertices that may give way or are not back yet, by rising number.
+    /// Vertices that may be displaced by contact, ascending.
     pub awake: Vec<u32>,
-    /// Where they are; None where they must be searched.
+    /// Region of the awake vertices; `None` if they must be searched.
     awoken: Option<Awoken>,
-    /// Whether only those give way.
+    /// True if only awake vertices are displaced.
     is_spring_wall: bool,
-    /// Vertices that gave way when the hierarchy was last brought to where the wall is.
+    /// Vertices that were displaced at the last refit of the hierarchy.
     stirred: Vec<u32>,
-    /// Whether others may have moved since.
+    /// True if other vertices may have moved since that refit.
     was_driven: bool,
     pub near: NearbyWall,
-    /// How far capsule and wall must have traveled before each near triangle can touch [m].
+    /// Travel of capsule and wall before which each near triangle cannot be in contact [m].
     pub clear: Vec<f64>,
     pub facets: Vec<Facet>,
     pub patch: Patch,
     pub contact_forces: Vec<ContactForce>,
-    /// Places of awake vertices [m] and the forces on them [N]; kept to be overwritten.
+    /// Positions of awake vertices [m] and the forces on them [N]; reused buffers.
     pub places: Vec<Lane3>,
     pub forces: Vec<Lane3>,
-    /// Of quasi-static motion.
+    /// Data of quasi-static motion.
     pub series: Series,
-    /// Time since the step began [s].
+    /// Time since the start of the step [s].
     pub since: f64,
-    /// How far capsule and wall may have come towards each other since the last search [m].
+    /// Upper bound of the approach of capsule and wall since the last search [m].
     pub travel: f64,
-    /// How far the wall may be from its hierarchy [m].
+    /// Upper bound of the distance of the wall from its hierarchy [m].
     pub wall_travel: f64,
 }
 
@@ -157,7 +157,7 @@ impl SoftWall {
         }
     }
 
-    /// Position and velocity of a vertex now.
+    /// Current position and velocity of a vertex.
     #[inline(always)]
     pub fn vertex(&self, v: u32) -> (DVec3, DVec3) {
         let yielded = &self.wall_displacement[v as usize];
@@ -165,7 +165,7 @@ impl SoftWall {
         (place + yielded.displacement, velocity + yielded.velocity)
     }
 
-    /// Where a vertex would be now if nothing touched it, and its velocity there.
+    /// Current position and velocity of a vertex without contact.
     #[inline(always)]
     fn driven_vertex(&self, v: usize) -> (DVec3, DVec3) {
         let place = self.active_wall[v];
@@ -176,7 +176,7 @@ impl SoftWall {
         (place + self.since * velocity, velocity)
     }
 
-    /// Writes vertices that have moved into the wall and refits its hierarchy.
+    /// Writes moved vertices into the wall and refits its hierarchy.
     pub fn settle(&mut self, wall: &mut Wall) -> Outcome {
         if self.wall_travel > 0.0 {
             let seen = |place: DVec3| place.to_array().map(|x| x as f32);
@@ -203,14 +203,14 @@ impl SoftWall {
         Ok(())
     }
 
-    /// Sets the driven wall on its way from one `lumen_scale` to another in a step of `duration` [s].
+    /// Sets the prescribed motion from one `lumen_scale` to another in a step of `duration` [s].
     pub fn aim(&mut self, from: &[f64], to: &[f64], duration: f64) {
         let shrinking: Vec<f64> = from.iter().zip(to).map(|(a, b)| (a - b) / duration).collect();
         self.active_speed = self.drive.as_ref().map_or(0.0, |drive| drive.fastest(&shrinking));
         self.way = Some(Way { lumen_scale: to.to_vec(), shrinking });
     }
 
-    /// Ends a step: the driven wall has arrived.
+    /// Ends a step: moves the wall to the end of its prescribed motion.
     pub fn land(&mut self) {
         if let Some((drive, way)) = self.drive.as_ref().zip(self.way.as_ref()) {
             let places = self.active_wall.par_iter_mut().with_min_len(4096).enumerate();
@@ -220,20 +220,20 @@ impl SoftWall {
         self.stay();
     }
 
-    /// Puts the wall elsewhere.
+    /// Replaces the positions without contact.
     pub fn set_active_wall(&mut self, active_wall: Vec<DVec3>) {
         self.was_driven |= active_wall != self.active_wall;
         self.active_wall = active_wall;
         self.forget_near();
     }
 
-    /// Has what is near searched anew.
+    /// Requires a new search for near triangles.
     pub fn forget_near(&mut self) {
         self.awoken = None;
         (self.travel, self.wall_travel) = (f64::INFINITY, f64::INFINITY);
     }
 
-    /// Gives up a step: the driven wall stays where it was.
+    /// Cancels a step: the wall keeps its positions without contact.
     pub fn stay(&mut self) {
         self.way = None;
         (self.active_speed, self.since) = (0.0, 0.0);
@@ -254,8 +254,8 @@ impl SoftWall {
         self.forget_near();
     }
 
-    /// Triangles that may touch the capsule, as they are now; those too far to have come close
-    /// since they were last looked at are left out.
+    /// Updates the triangles that may be in contact with the capsule; skips those too far away to
+    /// have approached since their last update.
     pub fn update_facets(&mut self, axis: &Axis, radius: f64) {
         self.facets.clear();
         for (place, corners) in self.near.corners.iter().enumerate() {
@@ -272,7 +272,7 @@ impl SoftWall {
         }
     }
 
-    /// Notes that a time [s] has passed, in which the capsule went a way [m].
+    /// Records that a time [s] has passed, in which the capsule moved by a distance [m].
     pub fn pass(&mut self, time: f64, way: f64) {
         let drive = self.active_speed * time;
         self.since += time;
@@ -299,7 +299,7 @@ impl SoftWall {
         self.awoken = Some(Awoken { bounds, margin: AWAKE_MARGIN });
     }
 
-    /// Finds the forces of `contact_forces` on the vertices that may give way.
+    /// Computes the forces of `contact_forces` on the awake vertices.
     fn push(&mut self, spring_wall: &SpringWall) {
         let mut places = std::mem::take(&mut self.places);
         places.clear();
@@ -314,7 +314,7 @@ impl SoftWall {
         self.places = places;
     }
 
-    /// One substep of the spring wall.
+    /// Advances the spring wall by one substep.
     pub fn give_way(&mut self, wall: &Wall, spring_wall: &SpringWall, dt: f64) {
         self.awaken(wall, spring_wall);
         self.move_awake(spring_wall, dt, |vertex, force| {
@@ -323,8 +323,8 @@ impl SoftWall {
         });
     }
 
-    /// Moves the vertices that may give way by the forces of `contact_forces`; `advance` moves one
-    /// and gives its way, in units of `scale` [m].
+    /// Moves the awake vertices by `contact_forces`; `advance` moves one and returns its
+    /// displacement, in units of `scale` [m].
     pub fn move_awake(
         &mut self,
         spring_wall: &SpringWall,
@@ -347,7 +347,7 @@ impl SoftWall {
         self.wall_travel += moved;
     }
 
-    /// Looks for what is near the capsule; refits the wall first where it has moved too far.
+    /// Searches the triangles near the capsule; refits the wall first if it has moved too far.
     pub fn search(&mut self, wall: &mut Wall, body: &Body, motion: &Motion) -> Outcome {
         if self.wall_travel > MARGIN {
             self.settle(wall)?;
@@ -361,7 +361,7 @@ impl SoftWall {
 }
 
 impl Awoken {
-    /// Whether pushes are where all vertices that they move are awake.
+    /// True if contact forces move only awake vertices.
     fn holds(&self, pushes: &[ContactForce]) -> bool {
         let square = self.margin * self.margin;
         let is_near = |push: &ContactForce| self.bounds.square_distance(push.center) <= square;

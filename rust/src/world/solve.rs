@@ -12,13 +12,13 @@ pub struct Twist {
 }
 
 impl Twist {
-    /// Component by component.
+    /// Components as an array.
     pub fn to_array(self) -> [f64; 6] {
         let (l, a) = (self.linear, self.angular);
         [l.x, l.y, l.z, a.x, a.y, a.z]
     }
 
-    /// From its components.
+    /// Twist from its components.
     pub fn from_array([a, b, c, d, e, f]: [f64; 6]) -> Self {
         Twist { linear: DVec3::new(a, b, c), angular: DVec3::new(d, e, f) }
     }
@@ -31,37 +31,37 @@ impl std::ops::AddAssign for Twist {
     }
 }
 
-/// A symmetric 6 × 6 matrix; only the lower triangle is kept.
+/// Symmetric 6 × 6 matrix; only the lower triangle is stored.
 #[derive(Clone, Copy, Default)]
 pub struct Symmetric6(pub [[f64; 6]; 6]);
 
-/// Sum of the products of components.
+/// Dot product.
 pub fn dot(a: &[f64; 6], b: &[f64; 6]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
 /// Linear system of one substep: `matrix · change = impulse`.
 pub struct System {
-    /// Inertia, and the wall's slopes.
+    /// Inertia, and the derivatives of the wall's forces.
     pub matrix: Symmetric6,
-    /// Of all but friction and drag.
+    /// Impulse of all forces except friction and drag.
     pub impulse: [f64; 6],
 }
 
 impl Symmetric6 {
-    /// Each number times another.
+    /// Matrix multiplied by a factor.
     pub fn scaled(&self, factor: f64) -> Self {
         Symmetric6(self.0.map(|row| row.map(|x| factor * x)))
     }
 
-    /// Adds another.
+    /// Adds another matrix.
     pub fn add(&mut self, other: &Self) {
         for (row, more) in self.0.iter_mut().zip(&other.0) {
             row.iter_mut().zip(more).for_each(|(x, y)| *x += y);
         }
     }
 
-    /// The product `A x`.
+    /// Product `A x`.
     pub fn times(&self, x: &[f64; 6]) -> [f64; 6] {
         std::array::from_fn(|row| {
             (0..6).map(|column| self.0[row.max(column)][row.min(column)] * x[column]).sum()

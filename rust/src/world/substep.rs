@@ -1,4 +1,4 @@
-//! One substep: gather the patch, solve for the change of twist, move the capsule and the wall.
+//! Substep: collect the patch, solve for the change of twist, move the capsule and the wall.
 
 use super::barrier::keep_out;
 use super::body::{Body, Motion};
@@ -11,39 +11,39 @@ use crate::simd::f64x8::{LANES, Lane, sum};
 use crate::tissue::spring_wall::ContactForce;
 use glam::DVec3;
 
-/// Parts of the capsule's length that push the wall as one, each by eighths of its girth.
+/// Number of sections of the capsule's length, each with eight sectors, that group contact forces.
 const PUSH_PARTS: usize = 5;
 const EIGHTHS: usize = 8;
 
-/// What acts on the capsule besides the wall.
+/// External load on the capsule.
 #[derive(Clone, Copy)]
 pub struct Load {
     /// Force at the center of mass and torque, in the wall's frame.
     pub wrench: Twist,
     /// Gravity [m/s²].
     pub gravity: DVec3,
-    /// Drag on the center of mass over its velocity [N·s/m]; only quasi-static motion has it.
+    /// Coefficient of drag on the center of mass [N·s/m]; only in quasi-static motion.
     pub damping: f64,
 }
 
-/// What the wall did to the capsule in one substep.
+/// Action of the wall on the capsule in one substep.
 #[derive(Clone, Copy, Default)]
 pub struct Reaction {
     /// Normal and tangential forces of the wall, and their torque about the center of mass.
     pub wrench: Twist,
-    /// Sum of normal forces' sizes [N].
+    /// Sum of the magnitudes of normal forces [N].
     pub normal_force_total: f64,
     /// Energy lost to friction and drag [J].
     pub friction_work: f64,
 }
 
-/// Fills `patch` with what the wall is pressed by.
+/// Fills `patch` with the contact of the capsule and the wall.
 pub fn press(body: &Body, laws: &Laws, facets: &[Facet], motion: &Motion, patch: &mut Patch) {
     Indenter::new(&laws.foundation, body, motion).press(facets, patch);
 }
 
-/// Moves the capsule on by `dt` under the forces of `patch`, and keeps `barred` triangles off its
-/// axis; returns what the wall did.
+/// Advances the capsule by `dt` under the forces of `patch`, and keeps `barred` triangles off its
+/// axis; returns the action of the wall.
 pub fn substep(
     body: &Body,
     laws: &Laws,
@@ -68,7 +68,7 @@ pub fn substep(
     told
 }
 
-/// Drag of what fills the lumen, `M ξ/τ`.
+/// Drag of the lumen contents, `M ξ/τ`.
 struct LumenDrag(Symmetric6);
 
 impl LumenDrag {
@@ -80,7 +80,7 @@ impl LumenDrag {
     }
 }
 
-/// Adds the drag of what fills the lumen to a system, by the implicit midpoint rule:
+/// Adds the drag of the lumen contents to a system, by the implicit midpoint rule:
 /// `(M + dt/2 M/τ) δ = dt (F − M ξ/τ)`.
 fn slow_down(
     body: &Body,
@@ -127,7 +127,7 @@ pub struct Sums {
 }
 
 impl Sums {
-    /// Adds those of some samples by their levers.
+    /// Adds forces and slopes of samples by their levers.
     #[inline(always)]
     pub fn add(&mut self, lever: &[Lane; 6], force: &Lane, slope: &Lane) {
         for row in 0..6 {
@@ -153,7 +153,7 @@ fn add_samples(sums: &mut Sums, samples: &[Samples], dt: f64) {
         let (mut weight, mut push) = ([0.0; LANES], [0.0; LANES]);
         for i in 0..LANES {
             let pushed = s.load[i] + 0.5 * dt * s.stiffness[i] * s.speed[i];
-            // Otherwise it lets go within this substep.
+            // Otherwise contact ends within this substep.
             let holds = pushed > 0.0;
             let slope = dt * (0.25 * dt * s.stiffness[i] + 0.5 * s.damping[i]);
             weight[i] = if holds { slope } else { 0.0 };
@@ -163,7 +163,7 @@ fn add_samples(sums: &mut Sums, samples: &[Samples], dt: f64) {
     }
 }
 
-/// The wall's part in the change of momentum, and the work of friction over the way gone.
+/// Wrench of the wall from the change of momentum, and work of friction over the displacement.
 fn reaction(
     body: &Body,
     load: &Load,
@@ -184,7 +184,7 @@ fn reaction(
     }
 }
 
-/// Collects the patch's loads on the wall into a few contact forces, by part of the capsule's surface.
+/// Collects the loads on the wall into a few contact forces, by section of the capsule's surface.
 pub fn contact_forces(
     body: &Body,
     m: &Motion,
@@ -211,7 +211,7 @@ pub fn contact_forces(
     );
 }
 
-/// Which eighth of a turn a direction lies in; by comparisons, the same on every processor.
+/// Octant of a direction in the plane; by comparisons, the same on every processor.
 fn eighth(x: f64, y: f64) -> usize {
     usize::from(x < 0.0) + 2 * usize::from(y < 0.0) + 4 * usize::from(y.abs() > x.abs())
 }

@@ -1,4 +1,4 @@
-//! One step of a world: substeps of capsule, wall and layer, and the way back where it fails.
+//! Step of a world: substeps of capsule, wall and layer; the state is restored if it fails.
 
 use super::body::{Body, Motion};
 use super::fem_coupling::FemCoupling;
@@ -15,15 +15,15 @@ use crate::wall::query;
 use glam::DVec3;
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-/// Farthest that any point of the capsule goes in one substep [m].
+/// Maximum displacement of any point of the capsule in one substep [m].
 const LONGEST_WAY: f64 = 1e-4;
-/// A capsule this many times as far from the wall's middle as the wall reaches has run away.
+/// Maximum distance of a capsule from the wall's center, as a factor of the wall's extent.
 const FAR: f64 = 1000.0;
-/// What is said then.
+/// Error of a diverged motion.
 const TOO_LARGE: &str = "The step is too large: the capsule's motion runs away.";
-/// Most parts of a substep.
+/// Maximum number of parts of a substep.
 const MOST_PARTS: f64 = 512.0;
-/// A layer of finite elements under the wall, and the coupling with it.
+/// Layer of finite elements under the wall, and the coupling with it.
 pub type Elastic<'a> = Option<(&'a mut FemLayer, &'a mut FemCoupling)>;
 
 /// Sums over the substeps of a step.
@@ -31,24 +31,24 @@ pub type Elastic<'a> = Option<(&'a mut FemLayer, &'a mut FemCoupling)>;
 pub struct StepTotals {
     /// Impulse of the wall on the capsule, or its mean force.
     pub force: DVec3,
-    /// Likewise, about the center of mass.
+    /// Impulse or mean of the torque about the center of mass.
     pub torque: DVec3,
-    /// Sum of the sizes of normal forces, likewise.
+    /// Impulse or mean of the sum of the magnitudes of normal forces.
     pub normal_force_total: f64,
     /// Energy lost to friction [J].
     pub friction_work: f64,
-    /// Stored energy [J], touched area [m²] and largest depth [m] of the last instant.
+    /// Stored energy [J], contact area [m²] and maximum depth [m] at the end.
     pub patch: [f64; 3],
 }
 
-/// Bound on the speed of every point of the capsule between two motions [m/s].
+/// Upper bound of the speed of all points of the capsule between two motions [m/s].
 pub fn fastest_point(body: &Body, before: &Motion, after: &Motion) -> f64 {
     let arm = body.center.length() + body.half_axis + body.radius;
     let speed = |m: &Motion| m.velocity.length() + m.angular_velocity.length() * arm;
     speed(before).max(speed(after))
 }
 
-/// Finds what is near the capsule, if it may have moved too far since it was last looked for.
+/// Searches the part of the wall near the capsule if either may have moved too far since.
 fn look_around(
     soft: &mut SoftWall,
     wall: &mut Wall,
@@ -76,7 +76,7 @@ impl StepTotals {
         self.friction_work += reaction.friction_work;
     }
 
-    /// Impulses over a time `duration` as mean forces.
+    /// Mean forces over a time `duration` from impulses.
     pub fn mean(self, duration: f64) -> Self {
         StepTotals {
             force: self.force / duration,
@@ -87,40 +87,40 @@ impl StepTotals {
     }
 }
 
-/// How the capsule's motion comes from what acts on it.
+/// Equations of the capsule's motion.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Dynamics {
-    /// Newton's and Euler's equations, in substeps.
+    /// Newton-Euler equations, in substeps.
     Physics,
     /// Balance without inertia, see `quasi_static`.
     QuasiStatic,
 }
 
-/// A capsule, its wall and what acts on them: all that one step changes, but for the layer itself.
+/// Capsule, wall and the forces on them: all state that a step changes, except the layer.
 pub struct Stepper {
-    /// How it moves.
+    /// Equations of motion.
     pub dynamics: Dynamics,
-    /// The capsule's mass and shape.
+    /// Mass and shape of the capsule.
     pub body: Body,
     /// Pressure and drag of the wall.
     pub laws: Laws,
-    /// How vertices near a contact give way; None where they do not, or an elastic layer does.
+    /// Springs at vertices near a contact; `None` for a rigid wall or one with an elastic layer.
     pub spring_wall: Option<SpringWall>,
-    /// The coupling with a layer of finite elements under the wall.
+    /// Coupling with a layer of finite elements under the wall.
     pub coupling: Option<FemCoupling>,
-    /// Sources outside, and the magnets in the capsule.
+    /// External sources, and the magnets in the capsule.
     pub magnets: Option<MagneticCoupling>,
-    /// The capsule's motion.
+    /// Motion of the capsule.
     pub motion: Motion,
-    /// The wall.
+    /// State of the wall.
     pub soft: SoftWall,
     /// Means over the last step.
     pub last: StepTotals,
 }
 
 impl Stepper {
-    /// Steps `strides.0` times by `dt`, in `strides.1` steps of the layer; on an error nothing but
-    /// what is near has changed.
+    /// Advances by `strides.0` steps of `dt`, in `strides.1` steps of the layer; an error changes
+    /// nothing except search results.
     pub fn run(
         &mut self,
         wall: &mut Wall,
@@ -152,8 +152,8 @@ impl Stepper {
         result
     }
 
-    /// Whether a step has come to a good end: the motion is finite, and the capsule has not broken
-    /// through a layer of finite elements.
+    /// Checks the result of a step: the motion is finite, and the capsule has not broken through a
+    /// layer of finite elements.
     fn check(&mut self, wall: &mut Wall) -> Outcome {
         if !self.motion.is_finite() {
             return Err(TOO_LARGE);
@@ -198,7 +198,7 @@ impl Stepper {
             if let Some((layer, coupling)) = elastic {
                 coupling.keep_up(layer, &mut self.soft, dt, (number, count / outer))?;
             }
-            // A capsule as fast as a blow takes shorter substeps: none goes far into the wall.
+            // Fast capsules take shorter substeps, so that none penetrates the wall far.
             let way = dt * fastest_point(&self.body, &self.motion, &self.motion);
             let swing = self.magnets.as_ref().map_or(1.0, |magnets| magnets.parts(&self.body, dt));
             let parts = (way / LONGEST_WAY).ceil().max(swing).clamp(1.0, MOST_PARTS);
@@ -214,7 +214,7 @@ impl Stepper {
         Ok(())
     }
 
-    /// One substep of capsule and wall.
+    /// Advances capsule and wall by one substep.
     fn substep(
         &mut self,
         wall: &mut Wall,
@@ -233,7 +233,7 @@ impl Stepper {
             load.wrench += magnets.pull(body, motion, dt)?;
         }
         let before = *motion;
-        // No barrier on a layer: to break through it is an error, see `check`.
+        // No barrier on a layer: breaking through it is an error, see `check`.
         let barred = if elastic.is_some() { &[] } else { &soft.facets[..] };
         let reaction = substep(body, &self.laws, &load, motion, &mut soft.patch, barred, dt);
         totals.add(&reaction, dt);
@@ -249,7 +249,7 @@ impl Stepper {
         Ok(())
     }
 
-    /// Finds what the capsule presses where it is now.
+    /// Computes the contact of the capsule and the wall at the current pose.
     pub fn touch(&mut self, wall: &mut Wall, elastic: &mut Elastic) -> Outcome {
         let (body, motion, soft) = (&self.body, &self.motion, &mut self.soft);
         look_around(soft, wall, elastic, (body, motion))?;
@@ -258,23 +258,23 @@ impl Stepper {
         Ok(())
     }
 
-    /// Sets the driven wall on its way between two values of `lumen_scale`, the step's first and then its last.
+    /// Sets the prescribed motion of the wall, from `lumen_scale` at the start and end of a step.
     pub fn aim(&mut self, lumen_scales: &[f64], duration: f64) -> PyResult<()> {
         let (from, to) = lumen_scales.split_at(lumen_scales.len() / 2);
         if self.soft.drive.is_none() || from.is_empty() || from.len() != to.len() {
-            let what = "The lumen_scale needs samples, two of each, and a drive set before.";
+            let what = "lumen_scale needs two rows of samples, and set_lumen_drive before.";
             return Err(PyValueError::new_err(what));
         }
         self.soft.aim(from, to, duration);
         Ok(())
     }
 
-    /// Whether the axis of the capsule is in the lumen, by the hierarchy as last settled.
+    /// True if the axis of the capsule is in the lumen, by the hierarchy as last refitted.
     pub fn is_inside(&self, wall: &Wall) -> bool {
         self.looks().iter().all(|&p| query::is_inside(&wall.bvh, p))
     }
 
-    /// Likewise now: the hierarchy is settled where it may be off by more than the axis is from it.
+    /// True if the axis is in the lumen now: refits the hierarchy where its error may matter.
     pub fn is_inside_now(&mut self, wall: &mut Wall) -> Result<bool, &'static str> {
         let off = self.soft.wall_travel;
         let is_clear =

@@ -1,4 +1,4 @@
-//! What a capsule loads its wall with, vertex by vertex.
+//! Loads of a capsule on its wall, by vertex.
 
 use super::body::{Body, Motion};
 use super::contact_patch::{FacetLoad, Samples};
@@ -9,10 +9,10 @@ use super::substep::Reaction;
 use crate::simd::f64x8::LANES;
 use glam::{DMat3, DVec3};
 
-/// Added to a system that could be singular, relative to its size.
+/// Regularization of a system that could be singular, relative to its size.
 const SINGULAR: f64 = 1e-9;
 
-/// One substep as the exchange sees it.
+/// Substep, as input of the coupling.
 pub struct Stride<'a> {
     pub body: &'a Body,
     pub before: &'a Motion,
@@ -23,7 +23,7 @@ pub struct Stride<'a> {
     pub dt: f64,
 }
 
-/// Forces on near vertices: normal ones and friction, triangle by triangle; writes what each has.
+/// Forces on near vertices, normal ones and friction; writes those of each triangle to `touched`.
 pub fn forces(soft: &mut SoftWall, stride: &Stride, touched: &mut Vec<ContactFace>) -> Vec<DVec3> {
     let (before, after, dt) = (stride.before, stride.after, stride.dt);
     let change = Twist {
@@ -57,7 +57,7 @@ pub fn forces(soft: &mut SoftWall, stride: &Stride, touched: &mut Vec<ContactFac
     forces
 }
 
-/// Force of a sample over a substep in which the capsule's twist changes, as `step` has it [N].
+/// Force of a sample over a substep in which the capsule's twist changes, as in `step` [N].
 fn push(s: &Samples, i: usize, change: &[f64; 6], dt: f64) -> f64 {
     let push = s.load[i] + 0.5 * dt * s.stiffness[i] * s.speed[i];
     if push <= 0.0 {
@@ -67,7 +67,7 @@ fn push(s: &Samples, i: usize, change: &[f64; 6], dt: f64) -> f64 {
     push + (0.25 * dt * s.stiffness[i] + 0.5 * s.damping[i]) * more
 }
 
-/// Corners of a touched triangle, and their shares in the middle of its pressure.
+/// Corners of a triangle in contact, and barycentric coordinates of its center of pressure.
 pub fn shares(soft: &SoftWall, on_facet: &FacetLoad) -> impl Iterator<Item = (usize, f64)> {
     let corners = soft.near.corners[on_facet.place as usize].map(|v| v as usize);
     let [a, b, c] = corners.map(|v| soft.vertex(soft.near.vertices[v]).0);
@@ -78,9 +78,9 @@ pub fn shares(soft: &SoftWall, on_facet: &FacetLoad) -> impl Iterator<Item = (us
     corners.into_iter().zip([part(b, c), part(c, a), part(a, b)])
 }
 
-/// Spreads over the touched corners what the triangles' forces lack of the wall's wrench on the
-/// capsule turned round (drag on the capsule as a whole, and the last friction round's residue),
-/// as a rigid pattern: force and torque are so exactly opposite.
+/// Spreads over the corners in contact the difference between the triangles' forces and the
+/// negative wrench of the wall on the capsule (drag on the body, and the residual of the last
+/// friction iteration), as a rigid pattern: force and torque are thus exactly opposite.
 fn spread_rest(soft: &SoftWall, stride: &Stride, forces: &mut [DVec3]) {
     let mut weights = vec![0.0; forces.len()];
     let load: f64 = soft.patch.facet_loads.iter().map(|on_facet| on_facet.load).sum();
@@ -110,7 +110,7 @@ fn spread_rest(soft: &SoftWall, stride: &Stride, forces: &mut [DVec3]) {
     }
 }
 
-/// From forces `a + ω × r` by weights to their resultant, for first and second moments of r.
+/// Matrix from forces `a + ω × r` by weights to their resultant, for first and second moments of r.
 fn rigid_pattern(first: DVec3, second: DMat3) -> Symmetric6 {
     let mut matrix = Symmetric6::default();
     let trace = second.x_axis.x + second.y_axis.y + second.z_axis.z;

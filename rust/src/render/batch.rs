@@ -1,4 +1,4 @@
-//! Images of many walls, or of one from many places, in one call.
+//! Batched rendering: images of many walls, or of one wall from many poses, in one call.
 
 use crate::pool::on_pool;
 use crate::render::channels::{ChannelArrays, refuse_partial};
@@ -13,17 +13,17 @@ use numpy::{PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
 use rayon::prelude::*;
 
-/// Renders what cameras at poses [n 4 4] see into the channels of `out`, a dictionary of
-/// C-contiguous arrays of n images of the table's shape; by direct light, without lumen contents.
+/// Renders the views of cameras at poses [n 4 4] into the channels of `out`, a dictionary of
+/// C-contiguous arrays of n images of the table's shape; direct light, no lumen contents.
 ///
-/// There is one wall for all or one for each, and one scene for all or one for each. Arrays are as
-/// `render` has them, but for those of a part of the pixels.
+/// One wall and one scene for all images, or one for each. Arrays are those of `render`, except
+/// subsampled and planar ones.
 ///
 /// # Errors
-/// If numbers of walls, scenes and poses or shapes do not fit each other, or a pose is not finite.
+/// If the numbers of walls, scenes and poses or the shapes differ, or a pose is not finite.
 #[pyfunction]
 #[pyo3(signature = (walls, scenes, rays, poses, leds, out, *, exposure, shadows))]
-#[allow(clippy::too_many_arguments)] // the one door from Python
+#[allow(clippy::too_many_arguments)] // called from Python only
 pub fn render_batch(
     py: Python<'_>,
     walls: Vec<Py<Wall>>,

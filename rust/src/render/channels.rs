@@ -1,4 +1,4 @@
-//! The arrays of an image that tiles write into.
+//! Arrays of an image that tiles write into.
 
 use crate::simd::f32x64::*;
 use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn, PyUntypedArrayMethods};
@@ -7,13 +7,13 @@ use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
 /// Stride of the subsampled pixel grid, which starts in the middle of a cell.
 pub const STEP: usize = 4;
 
-/// Pixels of the subsampled grid in a row of so many pixels.
+/// Number of pixels of the subsampled grid in a row of `size` pixels.
 fn subsampled(size: usize) -> usize {
     (size + STEP / 2 - 1) / STEP
 }
 
-/// Declares the channels: one line each, `name: type x components`. From it follow the arrays
-/// borrowed from Python, `Channels` and how an image is cut into bands of tiles.
+/// Declares the channels, one line each: `name: type x components`. Generates the arrays borrowed
+/// from Python, `Channels` and the division of an image into bands of tiles.
 ///
 /// `full` channels hold every pixel, `subsampled` ones the pixels of a grid of stride `STEP`.
 macro_rules! channels {
@@ -21,7 +21,7 @@ macro_rules! channels {
         full { $($name:ident: $type:ty, $components:literal;)* }
         subsampled { $($few:ident: $few_type:ty, $few_components:literal;)* }
     ) => {
-        /// Channels of an image, or of a row of its tiles; those not asked for are absent.
+        /// Channels of an image, or of a row of its tiles; `None` if not requested.
         #[derive(Default)]
         pub struct Channels<'a> {
             $(pub $name: Option<&'a mut [$type]>,)*
@@ -29,7 +29,7 @@ macro_rules! channels {
             pub planes: Option<Planes<'a>>,
         }
 
-        /// The same as arrays of Python's.
+        /// Channels as NumPy arrays.
         pub struct ChannelArrays<'py> {
             shape: (usize, usize),
             $($name: Option<PyReadwriteArrayDyn<'py, $type>>,)*
@@ -38,10 +38,10 @@ macro_rules! channels {
         }
 
         impl<'py> ChannelArrays<'py> {
-            /// Borrows the arrays of a dictionary for an image of a height and width.
+            /// Borrows the arrays of a dictionary for an image of the given height and width.
             ///
             /// # Errors
-            /// If one has the wrong type or shape.
+            /// If an array has the wrong type or shape.
             pub fn borrow(out: &Bound<'py, PyDict>, shape: (usize, usize)) -> PyResult<Self> {
                 let few = (subsampled(shape.0), subsampled(shape.1));
                 Ok(ChannelArrays {
@@ -52,7 +52,7 @@ macro_rules! channels {
                 })
             }
 
-            /// Their numbers.
+            /// Returns the arrays as slices.
             pub fn channels(&mut self) -> PyResult<Channels<'_>> {
                 Ok(Channels {
                     $($name: slice(&mut self.$name)?,)*
@@ -63,18 +63,18 @@ macro_rules! channels {
         }
 
         impl<'a> Channels<'a> {
-            /// Cuts the image into rows of tiles.
+            /// Splits the image into rows of tiles.
             pub fn bands(self, width: usize, count: usize) -> Vec<Channels<'a>> {
                 self.pieces(width * TILE, subsampled(width) * TILE / STEP, count)
             }
 
-            /// Cuts images below each other, each of so many pixels, into single ones; not for
-            /// subsampled channels and planes.
+            /// Splits vertically stacked images of `pixels` pixels each into single images;
+            /// excludes subsampled channels and planes.
             pub fn images(self, pixels: usize, count: usize) -> Vec<Channels<'a>> {
                 self.pieces(pixels, 1, count)
             }
 
-            /// Pieces of so many pixels, and of so many of the subsampled ones.
+            /// Splits into pieces of `all` pixels of the image and `few` of the subsampled grid.
             fn pieces(self, all: usize, few: usize, count: usize) -> Vec<Channels<'a>> {
                 $(let mut $name = cut(self.$name, all * $components);)*
                 $(let mut $few = cut(self.$few, few * $few_components);)*
@@ -118,10 +118,10 @@ channels! {
     }
 }
 
-/// Refuses arrays that hold something else than every pixel of an image.
+/// Checks that all arrays hold every pixel of an image.
 ///
 /// # Errors
-/// If there is one.
+/// If an array is subsampled or planar.
 pub fn refuse_partial(out: &Bound<'_, PyDict>) -> PyResult<()> {
     for name in out.keys() {
         let name: String = name.extract()?;
@@ -132,13 +132,13 @@ pub fn refuse_partial(out: &Bound<'_, PyDict>) -> PyResult<()> {
     Ok(())
 }
 
-/// Cuts a channel into pieces of a length; endless, as absent channels have no end.
+/// Splits a channel into pieces of a length; infinite, because absent channels have no end.
 fn cut<T>(channel: Option<&mut [T]>, length: usize) -> impl Iterator<Item = Option<&mut [T]>> {
     let mut rest = channel.map(|c| c.chunks_mut(length));
     std::iter::from_fn(move || Some(rest.as_mut().and_then(Iterator::next)))
 }
 
-/// Radiance by color, with a margin around the image.
+/// Radiance as one plane per color, with a margin around the image.
 pub struct Planes<'a> {
     colors: [&'a mut [f32]; 3],
     stride: usize,
@@ -146,22 +146,22 @@ pub struct Planes<'a> {
 }
 
 impl Channels<'_> {
-    /// Whether an image is to be made.
+    /// True if radiance or an image is requested.
     pub fn wants_light(&self) -> bool {
         self.rgb.is_some() || self.radiance.is_some() || self.planes.is_some()
     }
 
-    /// Whether surfaces are to be known that an image needs.
+    /// True if the surface material is needed.
     pub fn wants_color(&self) -> bool {
         self.wants_light() || self.albedo.is_some()
     }
 }
 
 impl<'a> Planes<'a> {
-    /// Of an array [3 h+2m w'] about an image of a height, where w' is w + 2m or more.
+    /// Planes of an array [3 h+2m w'] around an image of size [h w], where w' ≥ w + 2m.
     ///
     /// # Errors
-    /// If it is of another shape.
+    /// If the array has another shape.
     fn of(
         array: &'a mut Option<PyReadwriteArrayDyn<'_, f32>>,
         (height, width): (usize, usize),
@@ -179,7 +179,7 @@ impl<'a> Planes<'a> {
         Ok(Some(Planes { colors: [red, green, blue], stride, margin }))
     }
 
-    /// Rows of tiles.
+    /// Splits the planes into rows of tiles.
     fn bands(self) -> impl Iterator<Item = Planes<'a>> {
         let Planes { colors, stride, margin } = self;
         let mut rest = colors.map(|plane| plane[margin * stride..].chunks_mut(TILE * stride));
@@ -190,7 +190,7 @@ impl<'a> Planes<'a> {
     }
 }
 
-/// A channel of a dictionary of a shape, if it is there.
+/// Borrows a channel of the given shape from a dictionary, if present.
 fn take<'py, T: Element>(
     out: &Bound<'py, PyDict>,
     name: &str,
@@ -208,7 +208,7 @@ fn wrong_shape(name: &str) -> PyErr {
     PyValueError::new_err(format!("Channel {name} has the wrong shape."))
 }
 
-/// A channel of a dictionary, if it is there.
+/// Borrows a channel from a dictionary, if present.
 fn find<'py, T: Element>(
     out: &Bound<'py, PyDict>,
     name: &str,
@@ -222,7 +222,7 @@ fn find<'py, T: Element>(
     Ok(Some(array.try_readwrite()?))
 }
 
-/// Its numbers.
+/// Returns the array as a slice.
 fn slice<'a, T: Element>(
     array: &'a mut Option<PyReadwriteArrayDyn<'_, T>>,
 ) -> PyResult<Option<&'a mut [T]>> {
@@ -288,7 +288,7 @@ impl Place {
         }
     }
 
-    /// Writes pixels of rows that are so many apart.
+    /// Writes pixels; `stride` is the distance between rows.
     #[inline(always)]
     fn put<T: Copy>(
         self,
@@ -330,7 +330,7 @@ impl Place {
         self.write_each(channel, 3, |i, k| known[k][i]);
     }
 
-    /// Radiance in every form that it is asked for in.
+    /// Writes radiance to every requested channel.
     #[inline(always)]
     pub fn write_light(
         self,

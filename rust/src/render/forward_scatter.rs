@@ -1,5 +1,5 @@
-//! Blur of an image by light that is scattered forward on its way: a part of each pixel's light is
-//! spread by a Gaussian, and the rest is sharp (Wells, J. Opt. Soc. Am. 59(6), 1969).
+//! Blur by forward scattering of light on its path to the camera: a fraction of each pixel's light
+//! is spread by a Gaussian, the rest stays sharp (Wells, J. Opt. Soc. Am. 59(6), 1969).
 
 use crate::camera_pipeline::bloom::convolve;
 use crate::pool::on_pool;
@@ -10,8 +10,8 @@ use rayon::prelude::*;
 /// Standard deviation beyond which the image is blurred at half its resolution [px].
 const WIDE: f32 = 4.0;
 
-/// Blurs planes [3 h w] in place: a fraction of each pixel [h w] is that of the image spread by a
-/// Gaussian of standard deviation `sigma` [px] over lit pixels.
+/// Blurs planes [3 h w] in place: a fraction [h w] of each pixel is replaced by the image blurred
+/// over lit pixels by a Gaussian of standard deviation `sigma` [px].
 #[pyfunction]
 pub fn scatter_forward(
     py: Python<'_>,
@@ -45,7 +45,7 @@ pub fn scatter_forward(
     Ok(())
 }
 
-/// Convolution with a Gaussian, 0 outside; a wide one at half the resolution.
+/// Convolution with a Gaussian, 0 outside the image; at half the resolution if it is wide.
 fn blurred(image: &[f32], (height, width): (usize, usize), sigma: f32) -> Vec<f32> {
     if sigma <= WIDE || height < 4 || width < 4 {
         return convolved(image, (height, width), sigma);
@@ -58,7 +58,7 @@ fn blurred(image: &[f32], (height, width): (usize, usize), sigma: f32) -> Vec<f3
         }
     }
     let small = blurred(&small, half, 0.5 * sigma);
-    // Linear between the middles of cells.
+    // Linear interpolation between the centers of cells.
     let between = |fine: usize, count: usize| {
         let at = (0.5 * fine as f32 - 0.25).clamp(0.0, count as f32 - 1.0);
         (at as usize, (at as usize + 1).min(count - 1), at.fract())
@@ -77,7 +77,7 @@ fn blurred(image: &[f32], (height, width): (usize, usize), sigma: f32) -> Vec<f3
     out
 }
 
-/// Convolution with a Gaussian cut at three standard deviations, 0 outside.
+/// Convolution with a Gaussian truncated at three standard deviations, 0 outside the image.
 fn convolved(image: &[f32], (height, width): (usize, usize), sigma: f32) -> Vec<f32> {
     let reach = (3.0 * sigma).ceil() as usize;
     let raw: Vec<f32> = (0..=2 * reach)

@@ -1,4 +1,4 @@
-//! One image: trace, shade and write every channel that was asked for.
+//! Rendering of one image: trace, shade and write every requested channel.
 
 use crate::pool::on_pool;
 use crate::render::channels::{ChannelArrays, Channels, Place};
@@ -24,14 +24,14 @@ use rayon::prelude::*;
 
 /// Renders the channels of `out`, a dictionary of C-contiguous arrays of the table's shape.
 ///
-/// `leds` holds position [m], direction, intensity [W/sr] and lobe exponent of each in the camera's
-/// frame; `paths` how many paths a ray has, their most reflections, and their seed; `radiosity` the
-/// solver of indirect light.
+/// `leds` holds position [m], direction, intensity [W/sr] and lobe exponent of each LED in the
+/// camera's frame; `paths` the paths per ray, their maximum number of reflections and their seed;
+/// `radiosity` the solver of indirect light.
 #[pyfunction]
 #[pyo3(signature = (
     wall, scene, rays, pose, leds, out, *, exposure, shadows, contents=None, paths=None, radiosity=None
 ))]
-#[allow(clippy::too_many_arguments)] // the one door from Python
+#[allow(clippy::too_many_arguments)] // called from Python only
 pub fn render(
     py: Python<'_>,
     wall: &Wall,
@@ -79,7 +79,7 @@ pub fn render(
     Ok(())
 }
 
-/// Rows of tiles whose soft shadows are traced together, at most; about as many tiles.
+/// Maximum number of rows of tiles whose soft shadows are traced together; target number of tiles.
 const MAX_STRIP_ROWS: usize = 64;
 const STRIP_TILES: usize = 16_384;
 
@@ -97,7 +97,7 @@ pub fn render_bands<T: TileRenderer + Sync>(
     let samples = Samples::new(bare.wall, &bare.view.leds);
     let mut bands = channels.bands(rays.width, rows);
     for start in (0..rows).step_by(strip_rows) {
-        // A mean reaches into the next row of tiles, whose rays depend on that after it.
+        // The filter reads the next row of tiles, whose rays depend on the row after it.
         let first = start.saturating_sub(BLOCK);
         let last = (start + strip_rows + BLOCK).min(rows);
         let tiles = &rays.tiles[first * columns..last * columns];
@@ -131,14 +131,14 @@ impl Area {
         Place { column: column * TILE, size: self.size }
     }
 
-    /// Number of each pixel of a tile in the image.
+    /// Indices of a tile's pixels in the image.
     fn pixels(self, column: usize) -> [u32; LANES] {
         let first = self.row * self.size.0 + column * TILE;
         std::array::from_fn(|i| (first + i / TILE * self.size.0 + i % TILE) as u32)
     }
 }
 
-/// Media of the paths of some tiles.
+/// Light transport with the media of some tiles.
 #[inline(always)]
 fn light_transport<'a>(
     wall: &'a Wall,
@@ -150,7 +150,7 @@ fn light_transport<'a>(
     LightTransport { wall, scene, leds, pixel_angle, settings }
 }
 
-/// Virtual lights of the LEDs, if paths are to be connected to them.
+/// Virtual lights of the LEDs, if paths are connected to them.
 fn virtual_lights(
     wall: &Wall,
     scene: &SceneData,
@@ -162,7 +162,7 @@ fn virtual_lights(
     VirtualLights::new(&transport, rays.width * rays.height)
 }
 
-/// Light beyond direct light that the surfaces met by each tile send to the viewer.
+/// Radiance of indirect light from the surfaces of each tile towards the viewer.
 #[inline(always)]
 fn indirect(
     wall: &Wall,

@@ -1,4 +1,4 @@
-//! LEDs: luminous discs across their axes, or points if their radius is 0.
+//! LEDs: luminous discs perpendicular to their axes, or points if their radius is 0.
 
 use crate::render::path::bsdf::{circle, frame};
 use crate::render::path::sobol::{dimension, hash, point, unit};
@@ -13,14 +13,14 @@ pub struct Led {
     pub direction: Vec3,
     /// Radiant intensity on its axis [W/sr] for red, green, blue.
     pub intensity: Vec3,
-    /// Exponent of its angular lobe.
+    /// Exponent of its angular lobe cosᵐ.
     pub exponent: f32,
     /// Radius of its emitting disc [m]; 0 for a point.
     pub radius: f32,
 }
 
 impl Led {
-    /// Point of the disc relative to its center [m], evenly for even numbers in the unit square.
+    /// Point of the disc relative to its center [m]; uniform if `numbers` are, in the unit square.
     #[inline(always)]
     pub fn offset(&self, numbers: [f32; 2]) -> Vec3 {
         if self.radius == 0.0 {
@@ -31,7 +31,7 @@ impl Led {
         add(scale(right, self.radius * x), scale(up, self.radius * y))
     }
 
-    /// Relative intensity at the cosine of an angle to its axis.
+    /// Relative intensity at a cosine of the angle to its axis.
     #[inline(always)]
     pub fn lobe(&self, cosine: f32) -> f32 {
         match self.exponent {
@@ -41,17 +41,17 @@ impl Led {
         }
     }
 
-    /// Area over π of the half vectors between a view and the disc, for a square distance [m²] and
-    /// cosines of the angle to the LED's axis and between view and half vector.
+    /// Area over π of the half vectors between a view and the disc, for a squared distance [m²] and
+    /// the cosines of the angle to the LED's axis and of that between view and half vector.
     ///
-    /// An element of half vectors is one of light over four times the latter (Walter et al. 2007,
-    /// eq. 14).
+    /// An element of half vectors is the element of light directions over four times the latter
+    /// (Walter et al. 2007, eq. 14).
     #[inline(always)]
     pub fn half_vectors(&self, square: f32, cosine: f32, difference: f32) -> f32 {
         self.radius * self.radius * cosine / (4.0 * square * max(difference, 0.1))
     }
 
-    /// Points that stand for the LED, `count` of them, chosen by `key`; itself if it is a point.
+    /// `count` point lights for the LED, chosen by `key`; the LED itself if it is a point.
     pub fn points(&self, count: u32, key: u32) -> Vec<Led> {
         if self.radius == 0.0 {
             return vec![*self];
@@ -65,15 +65,15 @@ impl Led {
     }
 }
 
-/// All LEDs of a camera as points, as many for each as there are samples.
+/// Point lights of all LEDs of a camera, `samples` for each.
 pub fn point_leds(leds: &[Led], samples: u32, seed: u64) -> Vec<Led> {
     let key = hash(hash(seed as u32 ^ 0x2545_f491) ^ (seed >> 32) as u32);
     let number = |(k, led): (usize, &Led)| led.points(samples, dimension(key, k as u32));
     leds.iter().enumerate().flat_map(number).collect()
 }
 
-/// Point of the unit disc: a mapping of the unit square that keeps areas and neighbors (Shirley and
-/// Chiu 1997).
+/// Point of the unit disc: a mapping of the unit square that preserves areas and neighbors (Shirley
+/// and Chiu 1997).
 #[inline(always)]
 pub fn on_disc([u, v]: [f32; 2]) -> [f32; 2] {
     let (a, b) = (2.0 * u - 1.0, 2.0 * v - 1.0);
@@ -86,27 +86,27 @@ pub fn on_disc([u, v]: [f32; 2]) -> [f32; 2] {
     [radius * cosine, radius * sine]
 }
 
-/// Side of the square of pixels that hold each sample once.
+/// Side of the square of pixels that holds each sample once.
 pub const PERIOD: usize = 4;
-/// Samples of a disc.
+/// Number of samples of a disc.
 pub const SAMPLES: usize = PERIOD * PERIOD;
 
-/// Factor on the 16 samples that gives them the second moment of the disc, 1/2; without it they have
-/// 0.449.
+/// Factor on the 16 samples that gives them the second moment of the disc, 1/2; without it they
+/// have 0.449.
 const SPREAD: f32 = 1.055_02;
 
-/// Order of the samples in a square of pixels (Bayer 1973): any two by two neighbors have one of
-/// each quarter of the numbers.
+/// Order of the samples in a square of pixels (Bayer 1973): each 2 × 2 neighborhood has one sample
+/// of each quarter of the sequence.
 const ORDER: [[usize; PERIOD]; PERIOD] =
     [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]];
 
 /// Start of the shadow ray of each lane of a tile, relative to an LED's center: a sample of its
 /// disc that repeats every `PERIOD` pixels.
 ///
-/// The samples are a (0, 4, 2)-net (Hammersley's set): each two by two neighbors have one in each
-/// quarter of the disc, and an even mean over 4 × 4 pixels is a quadrature with 16 points that lie
-/// in 16 different places along either side. The points are scaled so that the mean square of their
-/// distance from the center is that of the disc. Each LED has its own turn of the disc.
+/// The samples are a (0, 4, 2)-net (Hammersley's set): each 2 × 2 neighborhood has one in each
+/// quarter of the disc, and the uniform mean over 4 × 4 pixels is a quadrature with 16 points at 16
+/// different coordinates along either side. The points are scaled so that the mean square of their
+/// distance from the center is that of the disc. The disc of each LED has a different rotation.
 pub fn disc_samples(led: &Led, number: usize) -> Lane3 {
     let (cosine, sine) = circle((0.618_034 * number as f32 + 0.07).fract());
     let [right, up] = frame(led.direction);
@@ -121,13 +121,13 @@ pub fn disc_samples(led: &Led, number: usize) -> Lane3 {
     starts
 }
 
-/// A lane of `disc_samples` that holds sample `number`, in any order.
+/// A lane of `disc_samples` that holds the sample of an index, in any order.
 #[inline(always)]
 pub fn sample_lane(number: usize) -> usize {
     number / PERIOD * TILE + number % PERIOD
 }
 
-/// A point of the net in the unit square, those of four numbers in a row in one quarter.
+/// Point of the net in the unit square; each run of four indices lies in one quarter.
 fn net_point(number: usize) -> [f32; 2] {
     let (quarter, rest) = (number as u32 / PERIOD as u32, number as u32 % PERIOD as u32);
     let index = (quarter & 1) << 3 | rest << 1 | quarter >> 1;
@@ -159,7 +159,7 @@ mod tests {
                 assert_eq!(seen.len(), 4);
             }
         }
-        // The mean square of the distance from the center of an even disc is half of its radius'.
+        // The mean squared distance from the center of a uniform disc is half the squared radius.
         let [x, y, z] = disc_samples(&led, 3);
         let square: f32 = (0..LANES).map(|i| x[i] * x[i] + y[i] * y[i]).sum();
         assert!((square / LANES as f32 - 0.5).abs() < 0.01);

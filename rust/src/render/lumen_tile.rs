@@ -1,7 +1,7 @@
-//! One tile of an image with something in the lumen.
+//! Rendering of one tile of an image with lumen contents.
 //!
-//! Bubbles and liquid cover what is behind them, and have channels of their own. Where a ray meets
-//! the surface of a pool it is refracted or reflected, once.
+//! Bubbles and liquid are composited over the surfaces behind them, and have separate channels. A
+//! ray that hits the surface of a pool is refracted or reflected once.
 
 use crate::lumen::spheres::Near;
 use crate::render::channels::{Channels, Place};
@@ -33,11 +33,11 @@ use crate::wall::visibility::visible_tile;
 pub struct LumenTiles<'a> {
     bare: WallTiles<'a>,
     contents: &'a Contents,
-    /// Pool in whose stretch the eye is.
+    /// Pool in whose section the camera is.
     of_eye: u16,
 }
 
-/// Triangles met, `MISS` where a particle hides them.
+/// Triangles hit, `MISS` where a particle occludes them.
 #[inline(always)]
 fn of_wall(triangles: &[u32; LANES], particles: &Particles) -> [u32; LANES] {
     std::array::from_fn(|i| if particles.owner[i] == MISS { triangles[i] } else { MISS })
@@ -45,20 +45,20 @@ fn of_wall(triangles: &[u32; LANES], particles: &Particles) -> [u32; LANES] {
 
 /// Hits of the rays of a tile.
 pub struct Seen {
-    /// The wall on straight ways.
+    /// Hits of straight rays on the wall.
     straight: Hits,
-    /// Surfaces that they finally show, unless there is only the wall.
+    /// Surfaces finally visible, unless there is only the wall.
     surfaces: Option<Box<VisibleSurfaces>>,
 }
 
-/// Surfaces that the rays of a tile finally see.
+/// Surfaces finally visible along the rays of a tile.
 struct VisibleSurfaces {
     rays: Pyramid,
-    /// Distances along the whole way; the wall, also behind particles.
+    /// Hits on the wall, also behind particles; distances along the whole path.
     hits: Hits,
     particles: Particles,
     found: Attributes,
-    /// Liquid on the way, if there is any.
+    /// Liquid on the path, if any.
     wet: Option<Wet>,
 }
 
@@ -166,7 +166,7 @@ impl TileRenderer for LumenTiles<'_> {
 }
 
 impl<'a> LumenTiles<'a> {
-    /// A wall with contents as a view sees them.
+    /// A wall with contents in a view.
     pub fn new(bare: WallTiles<'a>, contents: &'a Contents) -> Self {
         let WallTiles { wall, view, .. } = bare;
         let of_eye = contents.pools.as_ref().map_or(DRY, |(pools, _)| {
@@ -176,14 +176,14 @@ impl<'a> LumenTiles<'a> {
         LumenTiles { bare, contents, of_eye }
     }
 
-    /// Rays from the eye among wall and particles.
+    /// Rays from the camera among wall and particles.
     #[inline(always)]
     fn rays(&self) -> LumenRays<'_> {
         let WallTiles { wall, view, .. } = self.bare;
         LumenRays { wall, chyme: &self.contents.chyme, eye: view.origin }
     }
 
-    /// Whether nothing but the wall is on the ways of a tile's rays, nor between it and the LEDs.
+    /// True if there is nothing but the wall on a tile's rays and between their hits and the LEDs.
     #[inline(always)]
     fn sees_wall_alone(
         &self,
@@ -203,7 +203,7 @@ impl<'a> LumenTiles<'a> {
         self.contents.pools.as_ref().map(|(_, optics)| optics)
     }
 
-    /// Follows the rays of a tile, through the surface of a pool where they meet one.
+    /// Traces the rays of a tile, through the surface of a pool where they hit one.
     #[inline(always)]
     fn trace(
         &self,
@@ -272,7 +272,7 @@ impl<'a> LumenTiles<'a> {
         surface
     }
 
-    /// Liquid on the way of each ray, if there is any.
+    /// Liquid on the path of each ray, if any.
     #[inline(always)]
     fn wet(&self, rays: &Pyramid, hits: &Hits, found: &Attributes) -> Option<Wet> {
         let (pools, optics) = self.contents.pools.as_ref()?;
@@ -287,7 +287,7 @@ impl<'a> LumenTiles<'a> {
         wet.is_wet.contains(&true).then_some(wet)
     }
 
-    /// Bubbles that the tile may see on the straight ways from the eye, the farthest first.
+    /// Bubbles that may be visible on straight rays from the camera, the farthest first.
     #[inline(always)]
     fn bubbles(
         &self,
@@ -300,7 +300,7 @@ impl<'a> LumenTiles<'a> {
         self.in_order(scratch)
     }
 
-    /// Bubbles that the tile may see before the wall.
+    /// Collects bubbles that may be visible in front of the wall.
     #[inline(always)]
     fn gather(&self, tile: &TileRays, rays: &Pyramid, hits: &Hits, scratch: &mut Scratch) {
         scratch.near.clear();
@@ -322,7 +322,7 @@ impl<'a> LumenTiles<'a> {
         scratch.near.clone()
     }
 
-    /// Carries radiance from the surfaces met to the eye.
+    /// Transports radiance from the surfaces hit to the camera.
     #[inline(always)]
     fn transmit(
         &self,
@@ -362,7 +362,7 @@ impl<'a> LumenTiles<'a> {
         leg.carry(&bubbles, liquid, leds, radiance);
     }
 
-    /// Carries radiance from the surfaces met to the surfaces of pools on the way.
+    /// Transports radiance from the surfaces hit to the pool surfaces on the path.
     #[inline(always)]
     fn transmit_beyond(
         &self,
@@ -398,7 +398,7 @@ impl<'a> LumenTiles<'a> {
         leg.carry(&bubbles, Some((optics, wet)), &self.bare.view.leds, radiance);
     }
 
-    /// Radiance that the surfaces of pools mirror where they let rays through.
+    /// Radiance that pool surfaces reflect where they also transmit rays.
     #[inline(always)]
     fn mirrored(
         &self,
@@ -448,8 +448,8 @@ impl<'a> LumenTiles<'a> {
         radiance
     }
 
-    /// Radiance of the surfaces met, seen without what lies between; with the visible fraction of
-    /// each LED, or shadows from their centers.
+    /// Radiance of the surfaces hit, without the media in between, given the visible fraction of
+    /// each LED, or shadows from LED centers.
     #[inline(always)]
     fn light(
         &self,

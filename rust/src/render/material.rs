@@ -7,7 +7,7 @@ use crate::simd::f32x64::*;
 use crate::wall::packet::MISS;
 use std::f32::consts::PI;
 
-/// Reflectance that is the same all over the wall.
+/// Reflectance parameters that are uniform over the wall.
 #[derive(Clone, Copy)]
 pub struct Material {
     /// Refractive index of the base relative to the lumen.
@@ -34,7 +34,7 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// The surface without its base where it is a wall, whose light goes through the tissue.
+    /// The surface without base on the wall, where that light passes through the tissue.
     #[inline(always)]
     pub fn without_base(&self, triangles: &[u32; LANES]) -> Surface {
         let mut without_base = self.clone();
@@ -83,8 +83,8 @@ pub fn add_light(
     }
 }
 
-/// Adds the radiance [W/(sr·m²)] that an LED's light leaves on tissue without absorption, by what
-/// passes its interface: of this refractive index, and of diffuse light this share.
+/// Adds the radiance [W/(sr·m²)] that an LED's light leaves on tissue without absorption, after
+/// transmission by its interface, given its refractive index and its diffuse transmittance.
 #[inline(always)]
 pub fn add_leaving(
     surface: &Surface,
@@ -109,14 +109,14 @@ pub fn add_leaving(
 
 /// Reflection of one LED's light by the wall.
 pub struct Reflection {
-    /// Reflected radiance per radiant intensity [1/m²], the part colored by the base; holds the
-    /// cosine at the surface and the inverse square of the distance, as does the next.
+    /// Reflected radiance per radiant intensity [1/m²], colored by the base; includes the cosine at
+    /// the surface and the inverse squared distance, as does `specular`.
     pub diffuse: Lane,
-    /// The part that is not colored.
+    /// The part that the base does not color.
     pub specular: Lane,
-    /// Cosine of the angle at which the light leaves the LED, at least 0.
+    /// Cosine of the angle between the LED's axis and the light, at least 0.
     pub lobe: Lane,
-    /// Points in a highlight that is not round, see `is_stretched`.
+    /// `true` for points in a highlight that is not round, see `is_stretched`.
     pub is_stretched: [bool; LANES],
 }
 
@@ -165,9 +165,9 @@ fn disc_mean(ratio: f32, led: &Led, (axis, light): (f32, f32), cosine: f32) -> f
     clamp(1.0 + ratio * (across - 0.5 * power - tilt), 0.5, 2.0)
 }
 
-/// Cosines between the directions of one reflection; the half vector lies between view and light.
+/// Cosines between the directions of one reflection; the half vector bisects view and light.
 pub struct Angles {
-    /// Normal and view, at least a trifle.
+    /// Normal and view, clamped to a small positive value.
     pub view: f32,
     /// Normal and light.
     pub light: f32,
@@ -178,7 +178,7 @@ pub struct Angles {
 }
 
 impl Angles {
-    /// Of unit vectors.
+    /// Cosines of unit vectors.
     #[inline(always)]
     pub fn new(normal: Vec3, view: Vec3, light: Vec3) -> Self {
         let half = add(light, view);
@@ -199,10 +199,10 @@ pub fn gloss_alpha(roughness: f32) -> f32 {
 }
 
 /// Reflectance times the cosine at the surface [1/sr]: the part that is colored by the base, and
-/// the part that is not. Only where the light is above the surface.
+/// the part that is not. Valid only if the light is above the surface.
 ///
-/// `spread` is 0 for light from one direction; for an LED's disc (`IS_DISC`) the area of its half
-/// vectors over π, see `disc_lobe`.
+/// `spread` is 0 for light from one direction; for an LED's disc (`IS_DISC`) it is the area of its
+/// half vectors over π, see `disc_lobe`.
 #[inline(always)]
 pub fn scatter<const IS_DISC: bool>(
     angles: &Angles,
@@ -249,7 +249,7 @@ pub fn fresnel(cosine: f32, ior: f32) -> f32 {
     0.5 * (across * across + along * along)
 }
 
-/// Density of micro-normals (Trowbridge and Reitz; Walter et al. 2007, eq. 33).
+/// Density of microfacet normals (Trowbridge and Reitz; Walter et al. 2007, eq. 33).
 #[inline(always)]
 pub fn ggx(cosine: f32, alpha: f32) -> f32 {
     let square = cosine * cosine;
@@ -257,7 +257,7 @@ pub fn ggx(cosine: f32, alpha: f32) -> f32 {
     1.0 / (PI * alpha * alpha * spread * spread)
 }
 
-/// Terms of the mean of a lobe of micro-normals over the half vectors of an LED's disc.
+/// Terms of the mean of a microfacet lobe over the half vectors of an LED's disc.
 struct DiscLobe {
     /// R, the root of (ρ² + α² − s²)² + 4 α² s².
     root: f32,
@@ -267,14 +267,14 @@ struct DiscLobe {
     spread: f32,
 }
 
-/// Mean of a lobe of micro-normals over the half vectors of an LED's disc.
+/// Mean of a microfacet lobe over the half vectors of an LED's disc.
 ///
-/// On the plane across the normal the half vectors of a small disc fill an area, taken as a circle
-/// of radius ρ at distance s from the normal: π ρ² is the disc's solid angle over 4 (v·h), as an
-/// element of half vectors is one of light over that (Walter et al. 2007, eq. 14). GTR1 and GGX are
-/// the functions 1/(α² + s²) and 1/(α² + s²)² of that plane, s² counted (1 − α²) times. Their means
-/// over the circle have closed forms: of the first by integration around circles and over their
-/// radii, of the second as its derivative by −α².
+/// On the plane perpendicular to the normal, the half vectors of a small disc fill an area, taken
+/// as a circle of radius ρ at distance s from the normal: π ρ² is the disc's solid angle over 4
+/// (v·h), as an element of half vectors is one of light over that (Walter et al. 2007, eq. 14).
+/// GTR1 and GGX are the functions 1/(α² + s²) and 1/(α² + s²)² of that plane, with s² times (1 −
+/// α²). Their means over the circle have closed forms: the first by integration around circles and
+/// over their radii, the second as its derivative by −α².
 #[inline(always)]
 fn disc_lobe(cos_half: f32, square_alpha: f32, spread: f32) -> DiscLobe {
     let narrow = 1.0 - square_alpha;
@@ -284,7 +284,7 @@ fn disc_lobe(cos_half: f32, square_alpha: f32, spread: f32) -> DiscLobe {
     DiscLobe { root, sum: max(root + square_alpha + square - spread, 1e-9), spread }
 }
 
-/// Mean of `ggx` over a disc of half vectors: 2/(R M) in place of 1/(α² + s²)².
+/// Mean of `ggx` over a disc of half vectors: 2/(R M) instead of 1/(α² + s²)².
 #[inline(always)]
 fn ggx_disc(cos_half: f32, alpha: f32, spread: f32) -> f32 {
     let square_alpha = min(alpha * alpha, 0.999);
@@ -292,7 +292,7 @@ fn ggx_disc(cos_half: f32, alpha: f32, spread: f32) -> f32 {
     2.0 * square_alpha / (PI * root * sum)
 }
 
-/// Share of micro-facets not masked from one direction (Walter et al. 2007, eq. 34).
+/// Fraction of microfacets not masked from one direction (Walter et al. 2007, eq. 34).
 #[inline(always)]
 pub fn smith(cosine: f32, alpha: f32) -> f32 {
     let square = max(cosine * cosine, 1e-8);
@@ -335,8 +335,8 @@ impl Clearcoat {
             * smith(angles.light, ALPHA)
     }
 
-    /// Mean density of its micro-normals over a disc of half vectors, see `disc_lobe`: that of
-    /// 1/(α² + s²) over a disc of radius ρ is ln(1 + x)/ρ², where x = 2 ρ²/M.
+    /// Mean density of its microfacet normals over a disc of half vectors, see `disc_lobe`: the
+    /// mean of 1/(α² + s²) over a disc of radius ρ is ln(1 + x)/ρ², where x = 2 ρ²/M.
     #[inline(always)]
     fn disc_density(&self, cos_half: f32, spread: f32) -> f32 {
         let DiscLobe { sum, spread, .. } = disc_lobe(cos_half, self.spread + 1.0, spread);
@@ -346,7 +346,7 @@ impl Clearcoat {
         2.0 * self.scale * if x < 1e-2 { small } else { logarithm } / sum
     }
 
-    /// Density of its micro-normals (GTR1).
+    /// Density of its microfacet normals (GTR1).
     #[inline(always)]
     pub fn density(&self, cos_half: f32) -> f32 {
         self.scale / (1.0 + self.spread * cos_half * cos_half)

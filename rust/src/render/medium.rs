@@ -1,12 +1,12 @@
-//! Turbid fluid between the capsule and the wall: extinction of the wall's light, light scattered
-//! back from the LEDs, and the fraction of light that reaches the camera without being scattered.
+//! Turbid fluid between the capsule and the wall: extinction of the wall's light, backscattered
+//! light of the LEDs, and the fraction of light that reaches the camera unscattered.
 //!
-//! All are integrated along some 40 rays across the image (Wronski 2014, SIGGRAPH course "Volumetric
-//! fog": a grid in the frustum) and interpolated at the distance of the wall in each pixel.
-//! Coefficients of extinction are those of transport, `absorption + (1 − g) scattering`: light that is
-//! scattered forward stays in the beam. Orders of scattering beyond the first have the attenuation
-//! to the power 1/2, 1/4, … (Wrenninge, Kulla and Lundqvist 2013, "Oz: the great and volumetric")
-//! and weights that make a half-space as bright as it is (see `render/medium.py`).
+//! All are integrated along some 40 rays across the image (Wronski 2014, SIGGRAPH course
+//! "Volumetric fog": a grid in the frustum) and interpolated at the distance of the wall in each
+//! pixel. Extinction coefficients are those of transport, `absorption + (1 − g) scattering`: light
+//! that is scattered forward stays in the beam. Orders of scattering beyond the first have the
+//! attenuation to the power 1/2, 1/4, … (Wrenninge, Kulla and Lundqvist 2013, "Oz: the great and
+//! volumetric") and weights that give a half-space its true brightness (see `render/medium.py`).
 
 use crate::pool::on_pool;
 use crate::simd::f32x64::{Vec3, dot, sub};
@@ -16,27 +16,26 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 use std::f32::consts::PI;
 
-/// Rays across the image that are integrated along, about; some 4 degrees apart in a wide view.
+/// Approximate number of integrated rays across the image; some 4 degrees apart in a wide view.
 const RAYS: usize = 40;
-/// Intervals along a ray; they grow with distance.
+/// Number of intervals along a ray; they grow with distance.
 const SLICES: usize = 16;
-/// Orders of scattering; the last stands for all beyond it.
+/// Number of orders of scattering; the last represents all higher orders.
 const ORDERS: usize = 5;
-/// Octaves of the noise.
+/// Number of octaves of the noise.
 const OCTAVES: u32 = 3;
-/// Scale of three octaves of gradient noise; its standard deviation is then 0.69.
+/// Scale of three octaves of gradient noise, which gives a standard deviation of 0.69.
 const SCALE: f32 = 0.322;
-/// Rotation from one octave to the next, by 1 rad about (1, 2, 3): lattices that are aligned give
-/// blocks.
+/// Rotation from one octave to the next, by 1 rad about (1, 2, 3): aligned lattices show blocks.
 const TURN: [Vec3; 3] = [
     [0.573_137_9, -0.609_006_6, 0.548_291_8],
     [0.740_348_8, 0.671_644_5, -0.027_879_3],
     [-0.351_278_5, 0.421_905_9, 0.835_822_3],
 ];
-/// Distance beyond which no light returns [m].
+/// Maximum distance from which light returns [m].
 const FARTHEST: f32 = 0.1;
 
-/// Numbers of a node of the grid: light scattered back [3], transmittance of the camera's path [3]
+/// Values of a node of the grid: backscattered light [3], transmittance of the camera's path [3]
 /// and of the LEDs' paths [3], and optical depth of scattering.
 const VALUES: usize = 10;
 type Node = [f32; VALUES];
@@ -72,14 +71,14 @@ struct Rig<'a> {
     farthest: f32,
 }
 
-/// Extinguishes light of the wall, in planes [3 h w].
+/// Attenuates the wall's light in planes [3 h w], in place.
 ///
-/// Returns the light that the medium sends to the camera [3 h w] and the fraction of the wall's light
-/// that is not scattered [h w]. Rays [h w 3] are not a number where the camera sees nothing, and
-/// distances [h w] where a ray meets no wall.
+/// Returns the light that the medium scatters to the camera [3 h w] and the unscattered fraction of
+/// the wall's light [h w]. Rays [h w 3] are NaN outside the camera's field of view, distances [h w]
+/// are not finite where a ray hits no wall.
 #[pyfunction]
 #[pyo3(signature = (planes, rays, distance, start, pose, leds, medium))]
-#[allow(clippy::type_complexity, clippy::too_many_arguments)] // the one door from Python
+#[allow(clippy::type_complexity, clippy::too_many_arguments)] // called from Python only
 pub fn immerse<'py>(
     py: Python<'py>,
     mut planes: PyReadwriteArray3<'py, f32>,
@@ -146,7 +145,7 @@ struct Grid {
     /// Pixels between rays.
     step: usize,
     columns: usize,
-    /// None where the camera sees nothing.
+    /// None outside the camera's field of view.
     rays: Vec<Option<Box<[Node; SLICES + 1]>>>,
 }
 
@@ -163,7 +162,7 @@ impl Grid {
         Grid { step, columns, rays: rays.collect() }
     }
 
-    /// Numbers at a distance along the ray of a pixel; None where nothing near it is known.
+    /// Values at a distance along the ray of a pixel; None if no node near it is known.
     fn at(&self, rig: &Rig<'_>, (y, x): (usize, usize), distance: f32) -> Option<Node> {
         let (_, start) = rig.ray(y * rig.size.1 + x)?;
         let distance = if distance.is_finite() { distance } else { FARTHEST };
@@ -203,7 +202,7 @@ impl Rig<'_> {
         ray.iter().all(|x| x.is_finite()).then(|| (ray, self.start[pixel]))
     }
 
-    /// A point in the frame that the clouds are fixed in [m].
+    /// A point in the frame to which the clouds are fixed [m].
     fn fixed(&self, point: Vec3) -> Vec3 {
         [0, 4, 8].map(|k| {
             self.pose[k] * point[0]
@@ -259,8 +258,8 @@ impl Medium {
         out
     }
 
-    /// Irradiance at a point at a distance along a ray: with and without extinction on the way from
-    /// the LEDs, whose mean extinction is that of the ray.
+    /// Irradiance at a point at a distance along a ray, with and without extinction on the path
+    /// from the LEDs; their mean extinction is taken from the ray.
     fn arriving(
         &self,
         rig: &Rig<'_>,
@@ -281,7 +280,7 @@ impl Medium {
     }
 
     /// Radiance per scattering coefficient that a point on a ray sends to the camera, after
-    /// extinction on both ways, over all orders of scattering.
+    /// extinction on both paths, summed over all orders of scattering.
     fn scattered(&self, rig: &Rig<'_>, point: Vec3, (start, at): (f32, f32), depth: &Vec3) -> Vec3 {
         let mut sum = [0.0; 3];
         for led in &rig.leds {
@@ -307,7 +306,7 @@ impl Medium {
         let (spread, size) = self.clouds;
         let mut density = 1.0;
         if spread > 0.0 {
-            // Wisps: the clouds are longer along one direction.
+            // Wisps: the clouds are elongated along one direction.
             let at = [point[0], point[1] + 0.5 * point[2], 0.4 * point[2]].map(|x| x / size);
             let noise = fractal(at, self.seed);
             density = (spread * noise - 0.5 * spread * spread).exp();

@@ -1,4 +1,4 @@
-//! Images of a wall and what is in the lumen: ray tracing, shading, indirect light, image channels.
+//! Images of a wall and the lumen contents: ray tracing, shading, indirect light, image channels.
 
 pub mod batch;
 pub mod channels;

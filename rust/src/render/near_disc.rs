@@ -1,5 +1,5 @@
-//! Light of an LED's disc where means over the whole disc fail: diffuse light on surfaces near it,
-//! and highlights in which the disc is seen at an angle.
+//! Light of an LED's disc where means over the whole disc fail: diffuse light on nearby surfaces,
+//! and highlights of an obliquely visible disc.
 
 use crate::render::led::{Led, SAMPLES, disc_samples, sample_lane};
 use crate::render::material::{
@@ -7,27 +7,27 @@ use crate::render::material::{
 };
 use crate::simd::f32x64::*;
 
-/// Square of an LED's radius over that of its distance above which diffuse light is a sum over
-/// samples of its disc; and the same where the disc reaches below the surface's horizon.
+/// Squared ratio of an LED's radius to its distance above which diffuse light is a sum over samples
+/// of its disc; and the same if the disc extends below the surface's horizon.
 pub const NEAR: f32 = 0.1;
 const NEAR_HORIZON: f32 = 0.002;
 
-/// Cosine of the LED's angle times that between view and half vector below which a highlight is
-/// stretched.
+/// Product of the cosine of the LED's angle and that between view and half vector below which a
+/// highlight is stretched.
 const ROUND: f32 = 0.8;
-/// Radius of a highlight that is summed over parts of the disc, in radii of the disc's half vectors.
+/// Radius of a highlight summed over parts of the disc, in radii of the disc's half vectors.
 const HIGHLIGHT: f32 = 2.0;
-/// Half vectors of a disc that spread less, in widths of the lobe, are as good as a circle.
+/// Spread of a disc's half vectors, in widths of the lobe, below which a circle is accurate.
 const WIDE: f32 = 0.3;
-/// Factor on samples whose parts of the disc have its second moment together: those parts have a
-/// sixteenth of it of their own.
+/// Factor on samples so that their parts of the disc together have its second moment: each part
+/// itself has a sixteenth of it.
 const PARTS: f32 = 0.968;
 
-/// Return whether the mean of a lobe over the half vectors of a disc, taken as a circle, fails: they
-/// fill an ellipse, are wider than the lobe of width `alpha`, and are near the normal.
+/// True if the mean of a lobe over the half vectors of a disc, taken as a circle, fails: they fill
+/// an ellipse, are wider than the lobe of width `alpha`, and are near the normal.
 ///
-/// `ratio` is the square of the disc's radius over that of its distance, `cosine` that of the angle
-/// to the LED's axis.
+/// `ratio` is the squared ratio of the disc's radius to its distance, `cosine` that of the angle to
+/// the LED's axis.
 #[inline(always)]
 pub fn is_stretched(angles: &Angles, ratio: f32, cosine: f32, alpha: f32) -> bool {
     let difference = max(angles.difference, 0.1);
@@ -40,8 +40,7 @@ pub fn is_stretched(angles: &Angles, ratio: f32, cosine: f32, alpha: f32) -> boo
         & (square_sine < limit * limit)
 }
 
-/// Sums highlights that are stretched over parts of the LED's disc, whose own means are those of
-/// circles.
+/// Sums stretched highlights over parts of the LED's disc, whose means are those of circles.
 #[inline(always)]
 pub fn stretched_highlights(
     surface: &Surface,
@@ -82,8 +81,8 @@ pub fn stretched_highlights(
 /// Sums the diffuse light of an LED whose disc is near a surface, or partly below its horizon, over
 /// samples of the disc; returns the factor on it, given the visible fraction.
 ///
-/// Rays from below the horizon are blocked by the surface itself, so the visible fraction counts
-/// relative to the part of the disc above it.
+/// The surface itself blocks rays from below the horizon, so the visible fraction is relative to
+/// the part of the disc above it.
 #[inline(always)]
 pub fn near_discs(surface: &Surface, led: &Led, out: &mut Reflection, visible: &Lane) -> Lane {
     let (mut is_near, mut share) = ([false; LANES], [1.0; LANES]);
@@ -110,7 +109,7 @@ pub fn near_discs(surface: &Surface, led: &Led, out: &mut Reflection, visible: &
     share
 }
 
-/// Diffuse reflection of an LED's disc, the lobe included, and the fraction of the disc above the
+/// Diffuse reflection of an LED's disc, including the lobe, and the fraction of the disc above the
 /// surface's horizon.
 #[inline(always)]
 fn sum_of_samples(surface: &Surface, led: &Led) -> (Lane, Lane) {

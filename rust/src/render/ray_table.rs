@@ -1,12 +1,12 @@
-//! The rays of a camera: one unit direction a pixel, cut into tiles once.
+//! Rays of a camera: one unit direction per pixel, divided into tiles once.
 
 use crate::simd::f32x64::*;
 use crate::wall::packet::Pyramid;
 use numpy::{PyReadonlyArray3, ndarray::ArrayView3};
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-/// Angle between pixels above which rays are traced in bundles [rad]: that of images of up to some
-/// 150 pixels across a capsule's field, of whose packets each meets many triangles.
+/// Angle between pixels above which rays are traced in bundles [rad]: images of up to some 150
+/// pixels across a capsule's field, whose packets visit many triangles.
 const WIDE_ANGLE: f32 = 0.016;
 
 /// Rays of one tile in the camera frame; lane `i` is the pixel at row `i / TILE`, column `i %
@@ -16,15 +16,15 @@ pub struct TileRays {
     pub pyramid: Pyramid,
     /// Lanes that are pixels of the image and inside the lens's field.
     pub used: [bool; LANES],
-    /// Whether any lane is used.
+    /// True if any lane is used.
     pub any: bool,
-    /// Angle between neighboring pixels [rad]; sets how much of a texture a pixel averages.
+    /// Angle between neighboring pixels [rad]; sets the footprint of a pixel on a texture.
     pub pixel_angle: f32,
-    /// Whether the rays lie too far apart to be traced as one packet.
+    /// True if the rays are too far apart to be traced as one packet.
     pub is_wide: bool,
 }
 
-/// Unit ray directions of every pixel of a camera [h w 3]; NaN where the lens sees nothing.
+/// Unit ray directions of every pixel of a camera [h w 3]; NaN outside the lens's field.
 #[pyclass(frozen, module = "vrcaps._core")]
 pub struct RayTable {
     /// Image width [pixels].
@@ -33,17 +33,17 @@ pub struct RayTable {
     pub height: usize,
     /// Tiles, row by row.
     pub tiles: Vec<TileRays>,
-    /// Direction of each pixel, and 1 if it is inside the lens's field, or else 0.
+    /// Direction of each pixel, and 1 inside the lens's field, 0 outside.
     pub pixels: Vec<[f32; 4]>,
 }
 
 impl RayTable {
-    /// Tiles in a row of tiles.
+    /// Number of tiles in a row of tiles.
     pub fn columns(&self) -> usize {
         self.width.div_ceil(TILE)
     }
 
-    /// Unit direction of a pixel; None where the lens sees nothing.
+    /// Unit direction of a pixel; None outside the lens's field.
     pub fn direction(&self, x: usize, y: usize) -> Option<Vec3> {
         let [a, b, c, used] = self.pixels[y * self.width + x];
         (used > 0.0).then_some([a, b, c])

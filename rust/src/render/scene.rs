@@ -1,4 +1,4 @@
-//! A wall with everything that is drawn on it.
+//! Attributes of a wall's surface for rendering.
 
 use crate::render::material::Material;
 use crate::render::path::subsurface::Tissue;
@@ -9,14 +9,14 @@ use numpy::{PyReadonlyArray1, PyReadonlyArray3};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use std::ops::Deref;
 
-/// Data of one face; stored together, because they are read together.
+/// Data of one face; stored together because they are read together.
 #[derive(Clone, Copy)]
 pub struct FaceData {
     /// Texture coordinates of each corner.
     pub uv: [[f32; 2]; 3],
     /// Class.
     pub label: u8,
-    /// Lesion number.
+    /// Lesion ID.
     pub instance: u16,
 }
 
@@ -24,22 +24,22 @@ pub struct FaceData {
 pub struct SceneData {
     /// Data of each face.
     pub faces: Vec<FaceData>,
-    /// Distance along the centerline of each vertex [m].
+    /// Distance of each vertex along the centerline [m].
     pub arc_length: Vec<f32>,
-    /// Textures, or none for a plain wall.
+    /// Textures, or None for a uniform wall.
     pub texture: Option<TextureHandle>,
-    /// Linear base color of a plain wall.
+    /// Linear base color of a uniform wall.
     pub albedo: Vec3,
-    /// Roughness of a plain wall.
+    /// Roughness of a uniform wall.
     pub roughness: f32,
-    /// Reflectance that is the same all over.
+    /// Reflectance parameters that are uniform over the wall.
     pub material: Material,
-    /// Tissue behind the wall, if paths go through it.
+    /// Tissue behind the wall, if light passes through it.
     pub tissue: Option<Tissue>,
 }
 
 impl SceneData {
-    /// Refuses a wall that this was not made for.
+    /// Checks that a wall has the numbers of faces and vertices of this scene.
     pub fn check_size(&self, wall: &Wall) -> PyResult<()> {
         if self.faces.len() == wall.faces.len() && self.arc_length.len() == wall.vertices.len() {
             return Ok(());
@@ -49,10 +49,10 @@ impl SceneData {
     }
 }
 
-/// Tissue as Python gives it.
+/// Tissue as passed by Python.
 type OpticalProperties = (Vec3, f32, f32, Vec<f32>, f32, Vec<f32>);
 
-/// A texture that Python also holds.
+/// A texture shared with Python.
 pub struct TextureHandle(Py<Texture>);
 
 impl Deref for TextureHandle {
@@ -66,21 +66,21 @@ impl Deref for TextureHandle {
 /// Scene data of a wall: labels, gut coordinates, textures and reflectance.
 #[pyclass(frozen, module = "vrcaps._core")]
 pub struct Scene {
-    /// The attributes.
+    /// Attributes of the wall.
     pub data: SceneData,
 }
 
 #[pymethods]
 impl Scene {
     /// Takes uv [m 3 2], label [m] and instance [m] of faces, arc length [n] of vertices in meters,
-    /// `texture` or a plain linear `albedo` and `roughness`, and `reflectance` (refractive index,
-    /// clearcoat strength, clearcoat roughness α). `tissue` lets paths go through the wall: reduced
-    /// scattering of red, green and blue [1/m], refractive index, share of diffuse light that
-    /// enters, and √(1 − single-scattering albedo) of base colors 0 to 1 in even steps, and `level`
-    /// and `slopes` as `Tissue` has them.
+    /// `texture` or a uniform linear `albedo` and `roughness`, and `reflectance` (refractive index,
+    /// clearcoat strength, clearcoat roughness α). `tissue` lets light pass through the wall:
+    /// reduced scattering of red, green and blue [1/m], refractive index, fraction of diffuse light
+    /// that enters, √(1 − single-scattering albedo) of base colors 0 to 1 in uniform steps, and
+    /// `mean_cosine` and `angular_slopes` of `Tissue`.
     #[new]
     #[pyo3(signature = (uv, label, instance, arc_length, *, texture, albedo, roughness, reflectance, tissue=None))]
-    #[allow(clippy::too_many_arguments)] // one keyword each, called in one place
+    #[allow(clippy::too_many_arguments)] // one keyword each
     fn new(
         uv: PyReadonlyArray3<'_, f32>,
         label: PyReadonlyArray1<'_, u8>,

@@ -1,5 +1,4 @@
-//! From hits to channels: attributes of the wall where each ray meets it, and the light it
-//! reflects.
+//! Shading of hits: attributes of the wall at each hit, and the light that it reflects.
 
 use crate::render::led::Led;
 use crate::render::material::{Material, Surface, add_light};
@@ -14,19 +13,19 @@ use crate::wall::visibility::visible_tile;
 
 /// Attributes of the wall at the hit of each ray of a tile.
 pub struct Attributes {
-    /// Lanes that met the wall.
+    /// Lanes that hit the wall.
     pub hit: [bool; LANES],
-    /// Face met, −1 for none.
+    /// Face hit, −1 for none.
     pub face: [i32; LANES],
     /// Weights of the face's first and second corner.
     pub weights: [Lane; 2],
-    /// Point met [m].
+    /// Hit point [m].
     pub position: Lane3,
     /// Unit direction to the viewer.
     pub view: Lane3,
     /// Smooth unit normal on the viewer's side.
     pub normal: Lane3,
-    /// Least cosine between a shading normal and the way to the viewer, see `Face::least_facing`.
+    /// Minimum cosine of a shading normal to the viewer's direction, see `Face::least_facing`.
     pub least_facing: Lane,
     /// Texture coordinates.
     pub uv: [Lane; 2],
@@ -36,27 +35,27 @@ pub struct Attributes {
     pub arc_length: Lane,
     /// Segment or tissue class.
     pub label: [u8; LANES],
-    /// Lesion number.
+    /// Lesion ID.
     pub instance: [u16; LANES],
 }
 
-/// A face of the wall, fetched once for neighboring rays that meet it.
+/// A face of the wall, fetched once for neighboring rays that hit it.
 struct Face {
     number: usize,
     corners: [usize; 3],
     data: FaceData,
     gradients: [Vec3; 2],
-    /// A quarter of the sine of the angle by which the wall turns from the face's middle to its
+    /// A quarter of the sine of the angle by which the normal turns from the face's center to its
     /// corners.
     ///
     /// A piece of wall that turns by that angle up to an outline has half of it as its mean cosine;
-    /// one facet for all of it would be black wherever its smooth normal is edge-on. A quarter
-    /// takes the black away and changes the rest of an image least.
+    /// a single facet in its place would be black wherever its smooth normal is edge-on. A quarter
+    /// removes the black and changes the rest of an image least.
     least_facing: f32,
 }
 
 impl Face {
-    /// The face of a triangle, whose corners are still at hand from tracing.
+    /// Face of a triangle, whose corners are still in the cache from tracing.
     #[inline(always)]
     fn fetch(wall: &Wall, scene: &SceneData, triangle: usize) -> Self {
         let Triangle { corners: [a, b, c], face } = wall.bvh.triangles[triangle];
@@ -83,7 +82,7 @@ impl Face {
     }
 }
 
-/// Looks up the wall's attributes for every hit.
+/// Looks up the wall's attributes at every hit.
 #[inline(always)]
 pub fn attributes(
     wall: &Wall,
@@ -102,7 +101,7 @@ pub fn attributes(
     attributes_at(wall, scene, position, view, hits)
 }
 
-/// The same for points met by rays from anywhere; `view` holds unit directions back along them.
+/// Attributes of hits of arbitrary rays; `view` holds unit directions back along them.
 #[inline(always)]
 pub fn attributes_at(
     wall: &Wall,
@@ -171,10 +170,10 @@ fn fill_lane(out: &mut Attributes, wall: &Wall, scene: &SceneData, face: &Face, 
     out.face[i] = face.number as i32;
 }
 
-/// Makes normals unit vectors on the viewer's side.
+/// Normalizes normals and turns them to the viewer's side.
 ///
-/// The side of the face decides the sign; a smooth normal that still points away, near an outline,
-/// is bent to the horizon.
+/// The side of the face sets the sign; a smooth normal that still points away, near an outline, is
+/// bent to the horizon.
 #[inline(always)]
 fn turn_to_viewer(out: &mut Attributes, leaving: &Lane) {
     for i in 0..LANES {
@@ -189,7 +188,7 @@ fn turn_to_viewer(out: &mut Attributes, leaving: &Lane) {
     }
 }
 
-/// A shading normal, of any length, made a unit vector that faces the viewer at least so far.
+/// Normalizes a shading normal, with a cosine to the viewer of at least `least`.
 #[inline(always)]
 fn face_viewer(normal: Vec3, view: Vec3, least: f32) -> Vec3 {
     let (square, towards) = (dot(normal, normal), dot(normal, view));
@@ -198,7 +197,7 @@ fn face_viewer(normal: Vec3, view: Vec3, least: f32) -> Vec3 {
     scale(add(normal, scale(view, lacking)), 1.0 / square.sqrt())
 }
 
-/// Gives the hits their material: base color, roughness and relief.
+/// Material at the hits: base color, roughness and relief.
 #[inline(always)]
 pub fn surface(
     scene: &SceneData,
@@ -245,7 +244,7 @@ pub fn surface(
     surface
 }
 
-/// Share of the texture's width and height that each pixel covers.
+/// Fraction of the texture's width and height that each pixel covers.
 #[inline(always)]
 fn footprint(attributes: &Attributes, distance: &Lane, pixel_angle: f32) -> [Lane; 2] {
     let mut result = [[0.0; LANES]; 2];
@@ -260,8 +259,8 @@ fn footprint(attributes: &Attributes, distance: &Lane, pixel_angle: f32) -> [Lan
     result
 }
 
-/// Adds the radiance that an LED's light leaves towards the viewer, with what the tissue behind the
-/// surface makes of it, if it goes there; `visible` is the visible fraction of the LED.
+/// Adds the radiance that an LED's light leaves towards the viewer, including the subsurface light
+/// if enabled; `visible` is the visible fraction of the LED.
 #[inline(always)]
 pub fn add_all_light(
     (surface, subsurface): (&Surface, Option<&SubsurfaceLight>),
@@ -279,17 +278,17 @@ pub fn add_all_light(
 /// Method of shadow computation.
 #[derive(Clone, Copy)]
 pub enum Shadows<'a> {
-    /// Not at all.
+    /// No shadows.
     None,
     /// Rays from each LED to all points of a tile, which lie close together.
     ByLed,
     /// Rays from each point to all LEDs.
     ByPoint,
-    /// Known visible fraction of each LED.
+    /// Given visible fraction of each LED.
     Known(&'a [Lane]),
 }
 
-/// 1 in lanes that are set, or else 0.
+/// 1 in lanes that are `true`, 0 in others.
 #[inline(always)]
 pub fn fraction(lanes: &[bool; LANES]) -> Lane {
     let mut fraction = [0.0; LANES];
@@ -299,7 +298,7 @@ pub fn fraction(lanes: &[bool; LANES]) -> Lane {
     fraction
 }
 
-/// Radiance towards the viewer [W/(sr·m²)]; zero where nothing was met.
+/// Radiance towards the viewer [W/(sr·m²)]; zero without a hit.
 #[inline(always)]
 pub fn light(
     wall: &Wall,

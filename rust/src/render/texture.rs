@@ -6,14 +6,14 @@ use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// One texel, packed: square roots of the linear base color in 11, 11 and 10 bits; roughness in 8
+/// One packed texel: square roots of the linear base color in 11, 11 and 10 bits; roughness in 8
 /// bits and the two slopes in 12 bits each.
 ///
-/// Square roots spread the steps as the eye does, and cost one multiplication to undo.
+/// Square roots distribute the steps like visual perception, and one multiplication inverts them.
 #[derive(Clone, Copy, Default)]
 pub struct Texel(pub u32, pub u32);
 
-/// A texel in numbers.
+/// An unpacked texel.
 #[derive(Clone, Copy, Default)]
 struct Sample {
     albedo: Vec3,
@@ -28,7 +28,7 @@ struct Level {
 }
 
 impl Level {
-    /// The mean over two by two texels; none above a single texel.
+    /// Mean over 2 × 2 texels; None above a single texel.
     fn halved(&self, slope_step: [f32; 2]) -> Option<Level> {
         if self.texels.len() == 1 {
             return None;
@@ -52,7 +52,7 @@ impl Level {
 #[pyclass(frozen, module = "vrcaps._core")]
 pub struct Texture {
     levels: Vec<Level>,
-    /// Relief slope of one step of the packed numbers, along u and v [m per unit of u or v].
+    /// Relief slope of one step of the packed values, along u and v [m per unit of u or v].
     slope_step: [f32; 2],
 }
 
@@ -107,19 +107,19 @@ impl Sample {
     }
 }
 
-/// The nearest whole number of 0 to 2²²; adding 2²³ leaves it in the low bits.
+/// Nearest integer of 0 to 2²²; adding 2²³ leaves it in the low bits.
 #[inline(always)]
 fn nearest(x: f32) -> u32 {
     (x + 8_388_608.0).to_bits() & 0x7f_ffff
 }
 
-/// A linear value of channel `k` as a texel holds it, in its place.
+/// A linear value of channel `k`, encoded and shifted to its bits in a texel.
 #[inline(always)]
 fn color_bits(linear: f32, k: usize) -> u32 {
     nearest(clamp(linear, 0.0, 1.0).sqrt() * ALBEDO_STEPS[k]) << (11 * k)
 }
 
-/// A slope in steps as a texel holds it.
+/// A slope in steps, encoded for a texel.
 #[inline(always)]
 fn slope_bits(steps: f32) -> u32 {
     nearest(clamp(steps, -SLOPE_STEPS, SLOPE_STEPS) + 2048.0)
@@ -155,7 +155,7 @@ impl Images<'_> {
         }
     }
 
-    /// Steepest slopes anywhere.
+    /// Maximum slopes along u and v.
     fn steepest(&self) -> [f32; 2] {
         let of_row = |y| {
             let mut most = [1e-12f32; 2];
@@ -187,7 +187,7 @@ impl Images<'_> {
     }
 }
 
-/// Linear value of an 8-bit sRGB number (IEC 61966-2-1).
+/// Linear value of an 8-bit sRGB value (IEC 61966-2-1).
 fn linear(value: u8) -> f32 {
     let x = f32::from(value) / 255.0;
     if x <= 0.04045 { x / 12.92 } else { pow((x + 0.055) / 1.055, 2.4) }
@@ -228,7 +228,7 @@ impl Texture {
 }
 
 impl Texture {
-    /// Adds the levels above the finest, each half the size of the one before.
+    /// Adds the levels above the finest, each half the size of the previous one.
     fn with_mips(finest: Level, slope_step: [f32; 2]) -> Self {
         let mut levels = vec![finest];
         while let Some(coarser) = levels.last().and_then(|level| level.halved(slope_step)) {
@@ -237,9 +237,9 @@ impl Texture {
         Texture { levels, slope_step }
     }
 
-    /// Texels of every lane: bilinear in the level whose texels are nearest the pixel's footprint.
+    /// Texels of every lane: bilinear in the level whose texels match the pixel's footprint best.
     ///
-    /// `footprint` is the share of the texture's width and height that a pixel covers.
+    /// `footprint` is the fraction of the texture's width and height that a pixel covers.
     #[inline(always)]
     pub fn fetch(&self, uv: &[Lane; 2], footprint: &[Lane; 2]) -> Texels {
         let numbers = self.level_numbers(footprint);
@@ -268,7 +268,7 @@ impl Texture {
         let mut numbers = [0u32; LANES];
         for i in 0..LANES {
             let texels = max(max(footprint[0][i] * width, footprint[1][i] * height), 1.0);
-            // The exponent of √2·x is log₂ x rounded to the nearest whole number.
+            // The exponent of √2·x is log₂ x rounded to the nearest integer.
             let nearest = ((texels * std::f32::consts::SQRT_2).to_bits() >> 23) - 127;
             numbers[i] = if nearest < last { nearest } else { last };
         }

@@ -1,4 +1,4 @@
-//! One tile of an image: what a view's rays see, written to every channel that was asked for.
+//! Rendering of one tile of an image: trace, shade and write every requested channel.
 
 use crate::lumen::spheres::Near;
 use crate::render::channels::{Channels, Place};
@@ -15,7 +15,7 @@ use crate::wall::Wall;
 use crate::wall::bundle::trace_in_bundles;
 use crate::wall::packet::{Hits, MAX_DISTANCE, MISS, Pyramid, trace};
 
-/// Scratch memory for a tile's spheres; kept from tile to tile.
+/// Scratch memory for a tile's spheres; reused between tiles.
 #[derive(Default)]
 pub struct Scratch {
     /// Spheres near some rays.
@@ -27,8 +27,8 @@ pub struct Scratch {
 }
 
 impl TileLight<'_> {
-    /// Writes the visible fraction of each LED in the pixels of a tile with unit normals, of the wall
-    /// and with relief, if its visibility is known.
+    /// Writes the visible fraction of each LED in the pixels of a tile, given unit normals of the
+    /// wall and with relief, if its visibility is known.
     #[inline(always)]
     pub fn fractions(&self, normals: [&Lane3; 2], tile: &TileRays, out: &mut Vec<Lane>) -> bool {
         let Some((visibility, place)) = self.visibility else { return false };
@@ -37,10 +37,10 @@ impl TileLight<'_> {
     }
 }
 
-/// Light at the surfaces of a tile that is computed before it is drawn.
+/// Light at the surfaces of a tile that is computed before rendering.
 #[derive(Clone, Copy, Default)]
 pub struct TileLight<'a> {
-    /// Light beyond direct light.
+    /// Indirect light.
     pub indirect: Option<&'a Lane3>,
     /// Visibility of the LEDs, and row and column of the tile in it; None for shadows of points.
     pub visibility: Option<(&'a LedVisibility<'a>, (usize, usize))>,
@@ -54,16 +54,16 @@ pub trait TileRenderer {
     /// Media of paths besides air.
     fn media(&self) -> Option<LumenMedia<'_>>;
 
-    /// Follows the rays of a tile.
+    /// Traces the rays of a tile.
     fn see(&self, tile: &TileRays, scratch: &mut Scratch) -> Self::Seen;
 
-    /// The points that they meet.
+    /// Points hit.
     fn points(&self, tile: &TileRays, seen: &Self::Seen) -> TilePoints;
 
-    /// Unsets the bits of points that particles hide from a place.
+    /// Clears the bits of points that particles occlude from a position.
     fn shade_particles(&self, place: Vec3, points: &Lane3, scratch: &mut Scratch, lit: &mut u64);
 
-    /// The surfaces that paths of a tile start from.
+    /// Surfaces from which paths of a tile start.
     fn primary_hit(&self, tile: &TileRays, pixel: [u32; LANES], seen: &Self::Seen) -> PrimaryHit;
 
     /// Renders one tile.
@@ -142,7 +142,7 @@ impl TileRenderer for WallTiles<'_> {
     }
 }
 
-/// The rays of a tile from a camera's place and the rows of its rotation, and where they meet a
+/// Rays of a tile given the camera's position and the rows of its rotation, and their hits on a
 /// wall.
 #[inline(always)]
 pub fn intersect(
@@ -166,13 +166,13 @@ pub fn intersect(
 }
 
 impl WallTiles<'_> {
-    /// The rays of a tile in the world, and where they meet the wall.
+    /// Rays of a tile in the world, and their hits on the wall.
     #[inline(always)]
     pub fn intersect(&self, tile: &TileRays) -> (Pyramid, Hits) {
         intersect(self.wall, self.view.origin, &self.view.to_world, tile)
     }
 
-    /// Renders one tile whose rays have met nothing but the wall.
+    /// Renders one tile whose rays have hit only the wall.
     #[inline(always)]
     pub fn render_hits(
         &self,
@@ -214,7 +214,7 @@ impl WallTiles<'_> {
     }
 }
 
-/// Writes base color and light of the surfaces met.
+/// Writes base color and light of the surfaces hit.
 #[inline(always)]
 pub fn write_color(
     (surface, radiance): (&Surface, &Lane3),
@@ -227,7 +227,7 @@ pub fn write_color(
     place.write3(&mut out.albedo, &surface.albedo, hit, f32::NAN);
 }
 
-/// Adds light beyond direct light, if there is any.
+/// Adds indirect light, if any.
 #[inline(always)]
 pub fn add_indirect(indirect: Option<&Lane3>, radiance: &mut Lane3) {
     let Some(indirect) = indirect else { return };
@@ -238,7 +238,7 @@ pub fn add_indirect(indirect: Option<&Lane3>, radiance: &mut Lane3) {
     }
 }
 
-/// Writes the channels of the surfaces met.
+/// Writes the geometry channels of the surfaces hit.
 #[inline(always)]
 pub fn write_geometry(
     view: &View<'_>,

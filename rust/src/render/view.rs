@@ -1,4 +1,4 @@
-//! Everything about a view but its rays: the camera's pose, the LEDs, and how light is found.
+//! View parameters other than rays: camera pose, LEDs and illumination method.
 
 use crate::poses::pose_of;
 use crate::render::led::{Led, point_leds};
@@ -14,10 +14,10 @@ use glam::DVec3;
 use numpy::ndarray::ArrayView2;
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-/// Most points that stand for an LED in direct light where paths are traced.
+/// Maximum number of points that represent an LED in direct light for path tracing.
 const MOST_POINTS: u32 = 256;
 
-/// Everything about a view but its rays.
+/// Camera pose, LEDs and illumination method of a view.
 pub struct View<'a> {
     /// Position of the camera, relative to the wall's center [m].
     pub origin: Vec3,
@@ -26,27 +26,27 @@ pub struct View<'a> {
     pub to_camera: [Vec3; 3],
     /// The wall's center in the outside world [m].
     pub center: [f64; 3],
-    /// LEDs about the wall's center.
+    /// LEDs, relative to the wall's center.
     pub leds: Vec<Led>,
-    /// The same as points for direct light where paths are traced; None where they are discs.
+    /// LEDs as points, for direct light in path tracing; None where they are discs.
     pub point_leds: Option<Vec<Led>>,
     /// Factor from radiance to linear image value.
     pub exposure: f32,
-    /// Whether things cast shadows.
+    /// True if the wall and its contents cast shadows.
     pub shadows: bool,
     /// Settings of path tracing for indirect light; None for direct light only.
     pub paths: Option<Settings>,
-    /// Irradiance by light that has bounced, if it is found as radiosity.
+    /// Irradiance by indirect light, if computed by radiosity.
     pub irradiance: Option<Irradiance<'a>>,
     /// Virtual lights of the LEDs, if paths are connected to them.
     pub sources: Option<VirtualLights>,
 }
 
 impl View<'_> {
-    /// Of a camera pose [4 4] and LEDs [k 11] in the camera's frame.
+    /// View of a camera pose [4 4] and LEDs [k 11] in the camera's frame.
     ///
     /// # Errors
-    /// If they are of another shape or not finite.
+    /// If an array has another shape or is not finite.
     pub fn new(
         wall: &Wall,
         pose: ArrayView2<'_, f64>,
@@ -94,29 +94,28 @@ impl View<'_> {
         })
     }
 
-    /// Traces paths for indirect light; direct light then comes from points of the LEDs, as many of
-    /// each as there are samples.
+    /// Traces paths for indirect light; direct light then comes from points of the LEDs, one per
+    /// sample for each.
     pub fn trace_paths(&mut self, settings: Settings) {
         let samples = settings.spp.min(MOST_POINTS);
         self.point_leds = Some(point_leds(&self.leds, samples, settings.seed));
         self.paths = Some(settings);
     }
 
-    /// LEDs that give direct light.
+    /// LEDs of the direct light.
     #[inline(always)]
     pub fn direct_leds(&self) -> &[Led] {
         self.point_leds.as_ref().unwrap_or(&self.leds)
     }
 
-    /// Whether LEDs are discs that cast soft shadows.
+    /// True if LEDs are discs that cast soft shadows.
     pub fn has_soft_shadows(&self) -> bool {
         let is_disc = |led: &Led| led.radius > 0.0;
         self.shadows && self.point_leds.is_none() && self.leds.iter().any(is_disc)
     }
 
-    /// Fraction of the surface reflection under the LEDs where light enters the tissue behind it,
-    /// and the subsurface light where paths do not compute it; `triangles` are `MISS` where there
-    /// is no wall.
+    /// Surface that reflects LED light without entry into the tissue behind it, if light enters it,
+    /// and the subsurface light unless paths compute it; `triangles` are `MISS` without a wall.
     #[inline(always)]
     pub fn split_subsurface(
         &self,

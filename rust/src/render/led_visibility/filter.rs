@@ -1,21 +1,21 @@
 //! Mean of shadow rays over neighboring pixels on the same surface.
 //!
-//! Weights fall off at the ends of the kernel so that every sample of the period has the same total
-//! weight: where visibility varies evenly, a mean is the quadrature over all samples of the disc.
-//! Neighbors count if they lie near the tangent plane of the pixel's point at about its distance.
+//! Weights decrease at the ends of the kernel so that every sample of the period has the same total
+//! weight: where visibility varies linearly, the mean is the quadrature over all samples of a disc.
+//! Neighbors count if near the tangent plane of the pixel's point, at a similar distance.
 
 use super::{LedVisibility, TilePoints, lanes_of};
 use crate::simd::f32x64::*;
 
-/// Pixels beyond a tile that its means reach.
+/// Number of pixels beyond a tile that the kernel reaches.
 const MARGIN: usize = 2;
 /// Side of a tile with its margin.
 const SIDE: usize = TILE + 2 * MARGIN;
-/// Weights of the kernel for samples that repeat every four pixels, and for every two; the latter
-/// in images whose pixels are wide.
+/// Weights of the kernel for samples that repeat every four pixels, and every two; the latter for
+/// images with wide pixels.
 const KERNELS: [[f32; 2 * MARGIN + 1]; 2] = [[0.5, 1.0, 1.0, 1.0, 0.5], [0.0, 0.5, 1.0, 0.5, 0.0]];
-/// Sine of the angle to the tangent plane, and difference of distances over the distance, below
-/// which a neighbor is on the same surface.
+/// Sine of the angle to the tangent plane, and relative difference of distances, below which a
+/// neighbor is on the same surface.
 const PLANE: f32 = 0.35;
 const DEPTH: f32 = 0.12;
 
@@ -23,8 +23,8 @@ const DEPTH: f32 = 0.12;
 type Padded = [[f32; SIDE]; SIDE];
 
 impl LedVisibility<'_> {
-    /// Visible fraction of each LED in the pixels of a tile with unit normals, of the wall and with
-    /// relief; `is_wide` where pixels are.
+    /// Visible fraction of each LED in the pixels of a tile, given unit normals of the wall and
+    /// with relief; `is_wide` for wide pixels.
     #[inline(always)]
     pub fn fractions(
         &self,
@@ -68,7 +68,7 @@ impl LedVisibility<'_> {
         self.samples.leds.len()
     }
 
-    /// Whether LED `k` lights all lanes of a tile and of its margin, or none; None if it varies.
+    /// True if LED `k` lights all lanes of a tile and its margin, false if none; None if it varies.
     #[inline(always)]
     pub fn uniform(&self, neighbors: &[(usize, u64)], k: usize) -> Option<bool> {
         let (mut lit, mut dark) = (0, 0);
@@ -80,7 +80,7 @@ impl LedVisibility<'_> {
         if lit != 0 && dark != 0 { None } else { Some(lit != 0) }
     }
 
-    /// Tiles around a tile and itself, each with a bit for its used lanes within the margin.
+    /// The tile and the tiles around it, each with a bit for its used lanes within the margin.
     #[inline(always)]
     pub fn neighbors(&self, row: usize, column: usize) -> Vec<(usize, u64)> {
         let rows = self.points.len() / self.columns;
@@ -99,8 +99,8 @@ impl LedVisibility<'_> {
         found
     }
 
-    /// Values of a tile's pixels and of those around it; 0 outside the image. `fill` writes the
-    /// values of pixels of row `y` of a tile, from pixel `x` on.
+    /// Values of a tile's pixels and its margin; 0 outside the image. `fill` writes the values of
+    /// row `y` of a tile, starting at pixel `x`.
     #[inline(always)]
     fn padded(
         &self,
@@ -129,7 +129,7 @@ impl LedVisibility<'_> {
         padded
     }
 
-    /// Bits of tiles as numbers.
+    /// Bits of tiles as 0 or 1.
     #[inline(always)]
     fn padded_bits(&self, place: (usize, usize), bits: impl Fn(usize) -> u64) -> Padded {
         self.padded(place, |tile, (y, x), out| {
@@ -140,7 +140,7 @@ impl LedVisibility<'_> {
         })
     }
 
-    /// Numbers of tiles.
+    /// Lane values of tiles.
     #[inline(always)]
     fn padded_lanes(&self, place: (usize, usize), lane: impl Fn(&TilePoints) -> &Lane) -> Padded {
         self.padded(place, |tile, (y, x), out| {
@@ -149,7 +149,7 @@ impl LedVisibility<'_> {
         })
     }
 
-    /// Weight of each neighbor of the kernel, by its offset, that add up to 1.
+    /// Weight of each neighbor of the kernel, by offset; weights sum to 1.
     #[inline(always)]
     fn weights(
         &self,

@@ -1,19 +1,19 @@
-//! Shadow rays of one pixel of each two by two, and where they tell all of a tile.
+//! Shadow rays at half resolution, and tiles whose visibility they determine.
 
 use super::{BLOCK, Samples, TilePoints, bits_of, lanes_of};
 use crate::render::ray_table::TileRays;
 use crate::render::tile::{Scratch, TileRenderer};
 use crate::simd::f32x64::*;
 
-/// Pixels of half the resolution along a tile.
+/// Number of half-resolution pixels along a tile.
 const HALF: usize = TILE / BLOCK;
 
-/// Visibility of LEDs in blocks of two by two tiles.
+/// Visibility of LEDs in blocks of 2 × 2 tiles.
 pub struct Blocks {
     columns: usize,
     num_leds: usize,
     all: Vec<Block>,
-    /// For each block and each LED, a bit for each lane whose ray is free.
+    /// For each block and each LED, a bit for each lane whose ray is unoccluded.
     lit: Vec<u64>,
 }
 
@@ -22,11 +22,11 @@ pub struct Blocks {
 struct Block {
     /// A bit for each lane that has a point.
     used: u64,
-    /// Whether it has been traced.
+    /// True if it has been traced.
     is_traced: bool,
 }
 
-/// A row of blocks, and what its tiles see.
+/// A row of blocks, and the surfaces that its tiles show.
 pub struct BlockRow<S> {
     /// Visible surface of each tile, row by row.
     pub seen: Vec<S>,
@@ -36,7 +36,7 @@ pub struct BlockRow<S> {
     pub blocks: Blocks,
 }
 
-/// Traces the rays of up to two rows of tiles, and shadow rays at half the resolution.
+/// Traces the camera rays of up to two rows of tiles, and shadow rays at half resolution.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -77,7 +77,7 @@ pub fn block_row<T: TileRenderer>(
     BlockRow { seen, points, blocks }
 }
 
-/// Picks one pixel of each two by two of a tile at a place in its block.
+/// Picks one pixel of each 2 × 2 pixels of a tile at a position in its block.
 #[inline(always)]
 fn pick(
     (row, column): (usize, usize),
@@ -87,7 +87,7 @@ fn pick(
     let is_used = lanes_of(points.used);
     for y in 0..HALF {
         for x in 0..HALF {
-            // Each corner of the two by two in turn, the next if it sees nothing.
+            // Corners of the 2 × 2 pixels alternate; the next one if the first has no surface.
             let corners = (0..BLOCK * BLOCK).map(|k| (2 * x + y + k) % (BLOCK * BLOCK));
             let lanes = corners.map(|c| (BLOCK * y + c / BLOCK) * TILE + BLOCK * x + c % BLOCK);
             let Some(from) = lanes.into_iter().find(|&lane| is_used[lane]) else { continue };
@@ -101,7 +101,7 @@ fn pick(
 }
 
 impl Blocks {
-    /// No blocks yet, of rows of so many.
+    /// No blocks yet; rows have `columns` tiles.
     pub fn new(columns: usize, num_leds: usize) -> Self {
         Blocks { columns, num_leds, all: Vec::new(), lit: Vec::new() }
     }
@@ -112,9 +112,9 @@ impl Blocks {
         self.lit.extend(row.lit);
     }
 
-    /// Whether LED `k` lights all points of a tile and around it, or none; None if it varies.
+    /// True if LED `k` lights all points in and around a tile, false if none; None if it varies.
     ///
-    /// The pixels around matter: a tile at the end of a wide penumbra may have none of the few
+    /// The margin is included because a tile at the end of a wide penumbra may hold none of the few
     /// samples that differ.
     #[inline(always)]
     pub fn uniform(&self, (row, column): (usize, usize), k: usize) -> Option<bool> {
@@ -138,7 +138,7 @@ impl Blocks {
     }
 }
 
-/// Pixels of half the resolution along a tile, with one more on either side: first and last.
+/// First and last half-resolution pixel along a tile, with one more on either side.
 #[derive(Clone, Copy)]
 struct Span(usize, usize);
 
@@ -147,7 +147,7 @@ impl Span {
         Span((tile * HALF).saturating_sub(1), (tile + 1) * HALF)
     }
 
-    /// Blocks that it touches, of so many.
+    /// Blocks that it overlaps, of `count`.
     #[inline(always)]
     fn blocks(self, count: usize) -> std::ops::Range<usize> {
         self.0 / TILE..count.min(self.1 / TILE + 1)
@@ -160,14 +160,14 @@ impl Span {
         (first, (self.1 - block * TILE).min(TILE - 1))
     }
 
-    /// Its lanes in a block, if it goes along a row.
+    /// Its lanes in a block, if it runs along a row.
     #[inline(always)]
     fn column_mask(self, block: usize) -> u64 {
         let (first, last) = self.inside(block);
         ((0xff >> (TILE - 1 - last)) & (0xff << first) & 0xff) * 0x0101_0101_0101_0101
     }
 
-    /// Its lanes in a block, if it goes along a column.
+    /// Its lanes in a block, if it runs along a column.
     #[inline(always)]
     fn row_mask(self, block: usize) -> u64 {
         let (first, last) = self.inside(block);

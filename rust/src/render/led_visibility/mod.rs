@@ -1,12 +1,12 @@
-//! Visible fraction of each LED's disc in each pixel: soft shadows.
+//! Soft shadows: visible fraction of each LED's disc in each pixel.
 //!
-//! 1. One pixel of each two by two traces a ray to a sample of each LED's disc. Where the
-//!    rays to an LED are all free, or none, in and around a tile, that holds for the tile.
-//! 2. Elsewhere each pixel traces a ray to its own sample. Samples repeat every four pixels.
+//! 1. One pixel of each 2 × 2 traces a ray to a sample of each LED's disc. If all rays to an LED
+//!    in and around a tile are unoccluded, or none, that result holds for the whole tile.
+//! 2. Otherwise each pixel traces a ray to its own sample. Samples repeat every four pixels.
 //! 3. A pixel takes the mean over its neighbors on the same surface, see `filter`; near an LED it
 //!    traces rays to all samples instead, see `near_discs`.
 //!
-//! Nothing is random: neighbors have different samples, and each mean has all of them.
+//! The method is deterministic: neighbors have different samples, and each mean covers all of them.
 
 mod filter;
 mod half_resolution;
@@ -23,21 +23,21 @@ use half_resolution::{Blocks, block_row};
 use near_discs::NearLanes;
 use rayon::prelude::*;
 
-/// Rows and columns of tiles in a block, whose pixels of half the resolution make a tile.
+/// Rows and columns of tiles in a block, whose half-resolution pixels form one tile.
 pub const BLOCK: usize = 2;
 
-/// Points that the rays of a tile have met.
+/// Points hit by the rays of a tile.
 #[derive(Clone)]
 pub struct TilePoints {
     /// Points [m].
     pub position: Lane3,
-    /// A bit for each lane that met one.
+    /// A bit for each lane with a hit.
     pub used: u64,
-    /// Distance from the eye [m].
+    /// Distance from the camera [m].
     pub distance: Lane,
 }
 
-/// LEDs, and where in its disc the shadow rays of a tile's lanes start.
+/// LEDs, and the start of each lane's shadow ray on their discs.
 pub struct Samples<'a> {
     wall: &'a Wall,
     leds: &'a [Led],
@@ -49,7 +49,7 @@ pub struct LedVisibility<'a> {
     samples: &'a Samples<'a>,
     columns: usize,
     points: Vec<TilePoints>,
-    /// For each tile and each LED, a bit for each lane whose ray is free.
+    /// For each tile and each LED, a bit for each lane whose ray is unoccluded.
     lit: Vec<u64>,
     /// Visible samples of near LEDs, for each tile and each LED.
     near: Vec<NearLanes>,
@@ -59,7 +59,7 @@ pub struct LedVisibility<'a> {
 pub struct Strip<'a, S> {
     /// Visible surface of each tile.
     pub seen: Vec<S>,
-    /// Visibility of the LEDs there.
+    /// Visibility of the LEDs from these surfaces.
     pub visibility: LedVisibility<'a>,
 }
 
@@ -70,7 +70,7 @@ impl<'a> Samples<'a> {
         Samples { wall, leds, starts }
     }
 
-    /// A bit for each point that is lit by LED `k`, without particles in between.
+    /// A bit for each point that is lit by LED `k`; particles are ignored.
     #[inline(always)]
     fn lit(&self, k: usize, ends: &Lane3, used: &[bool; LANES]) -> u64 {
         let Led { position, radius, .. } = self.leds[k];
@@ -85,7 +85,7 @@ pub fn lanes_of(bits: u64) -> [bool; LANES] {
     std::array::from_fn(|i| bits >> i & 1 == 1)
 }
 
-/// A bit for each lane that is set.
+/// A bit for each lane that is true.
 #[inline(always)]
 pub fn bits_of(lanes: &[bool; LANES]) -> u64 {
     let mut bits = 0;
@@ -96,7 +96,7 @@ pub fn bits_of(lanes: &[bool; LANES]) -> u64 {
 }
 
 impl<'a, S: Send + Sync> Strip<'a, S> {
-    /// Traces rows of tiles, an even number of rows from the top, and shadow rays to the LEDs.
+    /// Traces rows of tiles, starting at an even row, and shadow rays to the LEDs.
     pub fn trace<T: TileRenderer<Seen = S> + Sync>(
         renderer: &T,
         samples: &'a Samples<'a>,
@@ -131,7 +131,7 @@ impl<'a, S: Send + Sync> Strip<'a, S> {
     }
 }
 
-/// Traces a shadow ray of each pixel to each LED whose visibility varies around its tile.
+/// Traces a shadow ray from each pixel to each LED whose visibility varies around its tile.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",

@@ -1,7 +1,7 @@
 //! Light of LEDs that are near a surface, by rays to all samples of a disc.
 //!
-//! There light is many times as bright as elsewhere, and the means over neighbors in `filter` are
-//! not close enough at the edges of folds.
+//! There irradiance is many times higher than elsewhere, and the means over neighbors in `filter`
+//! are too inaccurate at the edges of folds.
 
 use super::{LedVisibility, Samples, bits_of, lanes_of};
 use crate::render::led::{SAMPLES, sample_lane};
@@ -11,10 +11,10 @@ use crate::simd::f32x64::*;
 use crate::wall::bundle::{RAYS, lit_by};
 use rayon::prelude::*;
 
-/// Square of an LED's radius over that of its distance above which it is near: 9 radii.
+/// Squared ratio of an LED's radius to its distance above which it is near: 9 radii.
 const NEAR: f32 = 0.0123;
 
-/// A bit for each lane that is near an LED, and a bit for each sample of the LED that is seen there.
+/// A bit for each lane that is near an LED, and a bit for each sample of the LED visible there.
 pub type NearLanes = Option<Box<(u64, [u16; LANES])>>;
 
 impl Samples<'_> {
@@ -30,7 +30,7 @@ impl Samples<'_> {
         bits_of(&is_near) & used
     }
 
-    /// A bit for each sample of LED `k` that each point sees, without particles in between.
+    /// A bit for each sample of LED `k` visible from each point; particles are ignored.
     #[inline(always)]
     fn visible(&self, k: usize, points: &Lane3, used: &[bool; LANES]) -> [u16; LANES] {
         let mut visible = [0; LANES];
@@ -44,16 +44,16 @@ impl Samples<'_> {
         visible
     }
 
-    /// Place of a sample of LED `k` [m].
+    /// Position of a sample of LED `k` [m].
     #[inline(always)]
     fn place(&self, k: usize, sample: usize) -> Vec3 {
         add(self.leds[k].position, at(&self.starts[k], sample_lane(sample)))
     }
 
-    /// Visible fraction of LED `k` at points with unit normals, from the samples that each sees.
+    /// Visible fraction of LED `k` at points with unit normals, from the samples visible from each.
     ///
-    /// It is the fraction of the disc above the horizon, times that of the light from there which
-    /// arrives: samples near the horizon are often hidden, and light little.
+    /// It is the fraction of the disc above the horizon, times the fraction of its light that
+    /// arrives: samples near the horizon are often occluded and contribute little.
     #[inline(always)]
     pub fn near_fraction(
         &self,

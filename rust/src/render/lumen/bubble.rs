@@ -1,9 +1,9 @@
-//! Bubble over the surfaces behind it: a thin shell of liquid around gas.
+//! Compositing of a bubble over the surfaces behind it: a thin shell of liquid around gas.
 //!
-//! Each crossing of the shell reflects a share of the surroundings' light and lets the rest
-//! through. The shares are Fresnel's for a film much thicker than light's coherence, so that its
-//! two surfaces count apart; nothing is refracted, as a film turns no ray. Each LED shows twice:
-//! in the shell's front as in a convex mirror and in its back as in a concave one.
+//! Each crossing of the shell reflects a fraction of the light from the surroundings and transmits
+//! the rest. The fractions are Fresnel's for a film much thicker than the coherence length, so that
+//! its two surfaces add incoherently; a film does not refract rays. Each LED has two mirror images:
+//! one in the front of the shell, a convex mirror, and one in its back, a concave mirror.
 
 use crate::lumen::spheres::{Crossings, Sphere};
 use crate::render::led::Led;
@@ -17,11 +17,11 @@ use std::f32::consts::{LOG2_E, PI};
 pub struct Film {
     /// Refractive index of the liquid.
     pub ior: f32,
-    /// Width of the thick border that a bubble has around its outline, as a share of its radius.
+    /// Width of the thick border around a bubble's outline, as a fraction of its radius.
     pub border: f32,
-    /// Share of light that the border throws from the surroundings towards the viewer.
+    /// Fraction of light that the border scatters from the surroundings towards the viewer.
     pub gleam: f32,
-    /// Absorption of the border at its thickest, for red, green and blue.
+    /// Absorption of the border at maximum thickness, for red, green and blue.
     pub stain: Vec3,
     /// Roughness α of the shell in the mirror image of an LED.
     pub roughness: f32,
@@ -48,7 +48,7 @@ pub struct Eye<'a> {
 }
 
 impl Film {
-    /// Lays a bubble over what is behind it.
+    /// Composites a bubble over the surfaces behind it.
     #[inline(always)]
     pub fn cover(
         &self,
@@ -60,7 +60,7 @@ impl Film {
     ) {
         let offset = offset_of(sphere, eye);
         let distance = dot(offset, offset).sqrt();
-        // Half a pixel, as a share of the radius.
+        // Half a pixel, as a fraction of the radius.
         let blur = 0.5 * eye.pixel_angle * distance / sphere.radius;
         let shell = self.shell(crossings, blur);
         let around = surroundings(sphere, leds, distance, crossings, behind.distance);
@@ -81,8 +81,8 @@ impl Film {
         }
     }
 
-    /// Share of light that one crossing of the shell lets through, by the squared distance of the
-    /// ray from the center as a share of the radius' square.
+    /// Fraction of light that one crossing of the shell transmits, given the squared distance of
+    /// the ray from the center over the squared radius.
     pub fn passes(&self, miss: f32) -> f32 {
         let surface = fresnel(max(1.0 - miss, 0.0).sqrt(), self.ior);
         1.0 - 2.0 * surface / (1.0 + surface)
@@ -96,7 +96,7 @@ impl Film {
         let peak = 0.5 * self.border / width;
         for i in 0..LANES {
             let miss = min(crossings.miss[i], 1.0);
-            // A pixel at the outline sees a range of angles; none is nearer than its own width.
+            // A pixel at the outline covers a range of angles, at least its own width.
             let cosine = (max(1.0 - miss, min(blur, 1.0))).sqrt();
             let surface = fresnel(cosine, self.ior);
             let film = 2.0 * surface / (1.0 + surface);
@@ -113,8 +113,8 @@ impl Film {
         shell
     }
 
-    /// Adds the mirror image of an LED: a Gaussian lobe of normals about the mirroring one, wide
-    /// enough that no pixel steps over it, of the same energy.
+    /// Adds the mirror image of an LED: a Gaussian lobe of normals about the mirroring normal, wide
+    /// enough that every pixel near it samples it, with the same energy.
     #[inline(always)]
     fn add_image(
         &self,
@@ -131,7 +131,7 @@ impl Film {
         let square = max(dot(offset, offset), sphere.radius * sphere.radius);
         let cosine = max(dot(half, view), 0.05);
         let axis = clamp(-dot(light, led.direction), 0.0, 1.0);
-        // The variance of an even disc is half of its square radius, as that of a Gaussian its own.
+        // The variance of a uniform disc is half its squared radius, that of a Gaussian its own.
         let disc = 0.5 * led.half_vectors(square, axis, cosine);
         let spread = self.roughness * self.roughness + blur * blur + disc;
         let surface = fresnel(cosine, self.ior);
@@ -157,8 +157,8 @@ impl Film {
     }
 }
 
-/// Mirror image of an LED in a shell: the direction from its center, and from there to the LED and
-/// to the eye. Iterated from the solution for an infinitely distant LED and eye.
+/// Mirror image of an LED in a shell: unit directions of the mirroring point from the center, and
+/// from it to the LED and to the camera. Iterated from the solution for infinite distances.
 #[inline(always)]
 fn mirror_place(sphere: &Sphere, eye: Vec3, led: &Led, front: bool) -> (Vec3, Vec3, Vec3) {
     let sign = if front { 1.0 } else { -1.0 };
@@ -173,14 +173,14 @@ fn mirror_place(sphere: &Sphere, eye: Vec3, led: &Led, front: bool) -> (Vec3, Ve
     (mirror, light, view)
 }
 
-/// Steps towards the mirroring place; each brings it nearer by the share of the radius in the
-/// distance of LED and eye.
+/// Number of iterations towards the mirroring point; each reduces the error by the ratio of the
+/// radius to the distance of LED and camera.
 const MIRROR_STEPS: usize = 4;
 
-/// Standard deviations beyond which nothing of a mirror image is left to see.
+/// Standard deviations beyond which a mirror image is invisible.
 const FADED: f32 = 3.5;
 
-/// From the eye to the center of a sphere.
+/// Vector from the camera to the center of a sphere.
 #[inline(always)]
 fn offset_of(sphere: &Sphere, eye: &Eye<'_>) -> Vec3 {
     sub(sphere.center, eye.origin)
@@ -192,13 +192,13 @@ struct Shell {
     mirrored: Lane,
 }
 
-/// Share of an LED's intensity in the direction that its light travels, `-light`.
+/// Fraction of an LED's intensity in the direction that its light travels, `-light`.
 #[inline(always)]
 fn led_lobe(led: &Led, light: Vec3) -> f32 {
     lobe(led, clamp(-dot(light, led.direction), 0.0, 1.0))
 }
 
-/// Share of an LED's intensity at an angle from its axis, by the cosine of it.
+/// Fraction of an LED's intensity at a cosine of the angle to its axis.
 #[inline(always)]
 fn lobe(led: &Led, cosine: f32) -> f32 {
     if led.exponent == 0.0 {
@@ -210,16 +210,16 @@ fn lobe(led: &Led, cosine: f32) -> f32 {
     }
 }
 
-/// Most room around a bubble before the wall that it mirrors [m]: of one on the lens.
+/// Maximum distance from a bubble to the wall that it mirrors [m]: that of a bubble on the lens.
 const MOST_ROOM: f32 = 0.01;
 
-/// Radiance of the wall that a bubble mirrors: matt, of its color, facing the LEDs.
+/// Radiance of the wall that a bubble mirrors: diffuse, of its color, facing the LEDs.
 ///
-/// A shell that is met at angle θ turns a ray by π − 2θ, so its middle mirrors what is behind the
-/// eye, which the LEDs do not light, and its outline what is before the eye. The wall is taken to
-/// be a tube that ends in half a sphere, about the bubble, `distance` before the eye; its radius is
-/// the way from the bubble to what is behind it, but no more than `MOST_ROOM`. The LEDs are taken
-/// to be at the eye, and nothing that is lit to be nearer to them than the bubble.
+/// A shell that is hit at angle θ turns a ray by π − 2θ, so its middle mirrors the region behind
+/// the camera, which the LEDs do not light, and its outline the region in front. The wall is taken
+/// as a tube that ends in a hemisphere, centered on the bubble, at `distance` from the camera; its
+/// radius is the distance from the bubble to the surface behind it, at most `MOST_ROOM`. The LEDs
+/// are taken to be at the camera, and no lit point nearer to them than the bubble.
 #[inline(always)]
 fn surroundings(
     sphere: &Sphere,

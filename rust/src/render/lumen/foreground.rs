@@ -1,16 +1,16 @@
-//! The nearest thing that each ray looks through.
+//! Nearest transparent object on each ray.
 
 use super::liquid::Wet;
 use crate::render::channels::{Channels, Place};
 use crate::render::ray_table::TileRays;
 use crate::simd::f32x64::*;
 
-/// `Channels::foreground_label` of a bubble; 0 is nothing.
+/// `Channels::foreground_label` of a bubble; 0 is none.
 pub const FOREGROUND_BUBBLE: u8 = 1;
 /// `Channels::foreground_label` of liquid.
 pub const FOREGROUND_LIQUID: u8 = 2;
 
-/// The nearest see-through thing in front of each surface.
+/// Nearest transparent object in front of each surface.
 pub struct Foreground {
     label: [u8; LANES],
     instance: [u16; LANES],
@@ -18,7 +18,7 @@ pub struct Foreground {
 }
 
 impl Foreground {
-    /// Liquid, where rays enter it or start in it.
+    /// Liquid, at the point where rays enter it or start in it.
     #[inline(always)]
     pub fn of_liquid(wet: Option<&Wet>) -> Self {
         let mut front = Foreground {
@@ -35,7 +35,7 @@ impl Foreground {
         front
     }
 
-    /// A bubble counts where the ray crosses its shell for the first time.
+    /// Adds a bubble at the first crossing of its shell.
     #[inline(always)]
     pub fn add_bubble(&mut self, instance: u16, crossings: [&Lane; 2], distance: &Lane) {
         for i in 0..LANES {
@@ -47,7 +47,7 @@ impl Foreground {
         }
     }
 
-    /// Writes the channels of what is in front.
+    /// Writes the foreground channels.
     #[inline(always)]
     pub fn write(&self, tile: &TileRays, place: Place, out: &mut Channels<'_>) {
         let mut seen = [false; LANES];

@@ -1,4 +1,4 @@
-//! Intersections of a tile's rays with wall and particles, straight and beyond a liquid's surface.
+//! Intersections of a tile's rays with wall and particles, straight or beyond a liquid's surface.
 
 use super::particle_surfaces::Particles;
 use super::refraction::Turn;
@@ -9,18 +9,18 @@ use crate::wall::Wall;
 use crate::wall::packet::{Hits, MAX_DISTANCE, MISS, Pyramid, farthest_of, trace_beyond};
 use crate::wall::ray;
 
-/// Rays from an eye among wall and particles.
+/// Rays from the camera among wall and particles.
 pub struct LumenRays<'a> {
     /// The wall.
     pub wall: &'a Wall,
     /// Opaque particles.
     pub chyme: &'a Spheres,
-    /// The eye, about the wall's center [m].
+    /// Position of the camera, relative to the wall's center [m].
     pub eye: Vec3,
 }
 
 impl LumenRays<'_> {
-    /// Shortens rays from the eye to the particles that hide the wall.
+    /// Shortens camera rays to the particles that occlude the wall.
     #[inline(always)]
     pub fn intersect_particles(
         &self,
@@ -38,8 +38,8 @@ impl LumenRays<'_> {
         met
     }
 
-    /// Hits of rays from the eye, in the lanes `used`, after reflection at a level surface.
-    /// Distances are along the whole path.
+    /// Hits of camera rays, in the lanes `used`, after reflection at a level surface. Distances are
+    /// measured along the whole path.
     #[inline(always)]
     pub fn intersect_reflected(
         &self,
@@ -50,7 +50,7 @@ impl LumenRays<'_> {
     ) -> (Hits, Particles) {
         let (mut hits, mut particles) = (Hits::within([0.0; LANES]), Particles::nothing());
         let mut rest = *used;
-        // A tile sees one surface, hardly ever two.
+        // A tile nearly always shows one surface, rarely two.
         while let Some(first) = rest.iter().position(|&waits| waits) {
             let level = turn.place[2][first];
             let group = std::array::from_fn(|i| rest[i] & (turn.place[2][i] == level));
@@ -69,7 +69,7 @@ impl LumenRays<'_> {
         (hits, particles)
     }
 
-    /// The same for one level: mirrored rays come straight from where the eye's image in it is.
+    /// Hits after reflection at one level; mirrored rays start from the mirror image of the camera.
     #[inline(always)]
     fn intersect_reflected_at(
         &self,
@@ -91,8 +91,8 @@ impl LumenRays<'_> {
         (hits, particles)
     }
 
-    /// Hits beyond a surface of rays that turn there, in the lanes `used`. Distances are along the
-    /// whole path.
+    /// Hits of rays that turn at a surface, beyond it, in the lanes `used`. Distances are measured
+    /// along the whole path.
     #[inline(always)]
     pub fn intersect_refracted(
         &self,

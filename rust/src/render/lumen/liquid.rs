@@ -1,8 +1,8 @@
-//! Pools with level surfaces: what light loses and gains on its way through them.
+//! Pools with level surfaces: attenuation and scattering of light on its path through them.
 //!
-//! A pool is known by its level and by the vertices of the wall that lie along its stretch of the
-//! gut. The surface mirrors and lets through by Fresnel's law; the liquid absorbs, and scatters
-//! once, the same to all sides. Light from the LEDs takes the straight way into it.
+//! A pool is given by its level and by the vertices of the wall along its section of the gut. The
+//! surface reflects and transmits by Fresnel's law; the liquid absorbs, and scatters once and
+//! isotropically. Light from the LEDs enters it without refraction.
 
 use super::refraction::{REFRACTED, Turn};
 use crate::render::led::Led;
@@ -27,9 +27,9 @@ pub struct Optics {
 
 /// All pools of an organ.
 pub struct Pools {
-    /// Levels about the wall's center [m], pool 1 first.
+    /// Levels relative to the wall's center [m], pool 1 first.
     pub levels: Vec<f32>,
-    /// Pool along whose stretch each vertex lies, `DRY` for none.
+    /// Pool of the section in which each vertex lies, `DRY` for none.
     pub of_vertex: Vec<u16>,
 }
 
@@ -41,7 +41,7 @@ pub struct Wet {
     pub pool: [u16; LANES],
     /// Start of the liquid along the ray [m].
     pub start: Lane,
-    /// Whether the eye is under this lane's pool.
+    /// `true` where the camera is below the level of this lane's pool.
     pub under: [bool; LANES],
     /// Continuation of the rays at its surface.
     pub turn: Turn,
@@ -50,23 +50,23 @@ pub struct Wet {
 }
 
 impl Pools {
-    /// Pool along whose stretch a face lies.
+    /// Pool of the section in which a face lies.
     #[inline(always)]
     pub fn of_face(&self, corners: [u32; 3]) -> u16 {
         let [a, b, c] = corners.map(|v| self.of_vertex[v as usize]);
         a.max(b).max(c)
     }
 
-    /// Level of a pool about the wall's center [m].
+    /// Level of a pool relative to the wall's center [m].
     pub fn level(&self, pool: u16) -> f32 {
         self.levels[pool as usize - 1]
     }
 
-    /// Liquid on the path to the surfaces that straight rays meet at `position`; their pools and
-    /// the eye's are given.
+    /// Liquid on straight paths to surfaces at `position`, given the pools of these and of the
+    /// camera.
     ///
-    /// A ray from above has crossed the surface if what it meets lies under it; one from below if
-    /// it gets above it.
+    /// A ray from above has crossed the surface if its hit lies below the level; one from below if
+    /// its hit lies above it.
     #[inline(always)]
     pub fn crossed(
         &self,
@@ -102,7 +102,7 @@ impl Pools {
 }
 
 impl Optics {
-    /// Transmit an LED's light through the liquid between it and each surface.
+    /// Attenuates an LED's light in the liquid between it and each surface.
     #[inline(always)]
     pub fn dim(&self, led: &Led, position: &Lane3, wet: &Wet, light: &mut Lane3) {
         for i in 0..LANES {
@@ -113,9 +113,9 @@ impl Optics {
         }
     }
 
-    /// Transmit diffuse light from above through the liquid over each surface.
+    /// Attenuates diffuse light from above in the liquid over each surface.
     ///
-    /// Even light loses as much as a beam on a way 1.66 times as long (Elsasser 1942).
+    /// Diffuse light is attenuated like a beam on a path 1.66 times as long (Elsasser 1942).
     #[inline(always)]
     pub fn dim_even(&self, position: &Lane3, wet: &Wet, light: &mut Lane3) {
         for i in 0..LANES {
@@ -132,7 +132,7 @@ impl Optics {
         self.absorption[k] + self.scattering[k]
     }
 
-    /// LEDs as bright as they are at a point in the liquid of lane `i`.
+    /// LEDs with their intensities at a point in the liquid of lane `i`.
     pub fn dimmed(&self, leds: &[Led], point: Vec3, wet: &Wet, i: usize) -> Vec<Led> {
         let dim = |led: &Led| {
             let exponent = -LOG2_E * wet.length_in_liquid(led.position, point, i);
@@ -143,8 +143,8 @@ impl Optics {
         leds.iter().map(dim).collect()
     }
 
-    /// Takes radiance through pieces of liquid, which begin on the eye's side at `starts` and go on
-    /// along unit `directions`; those of length 0 do nothing.
+    /// Transports radiance through segments of liquid, which start on the camera's side at `starts`
+    /// and extend along unit `directions`; segments of length 0 have no effect.
     #[inline(always)]
     pub fn carry(
         &self,
@@ -162,7 +162,7 @@ impl Optics {
         }
     }
 
-    /// Light scattered once, by the midpoint rule over the way through the liquid.
+    /// Single-scattered light, by the midpoint rule along the path through the liquid.
     #[inline(always)]
     fn in_scattering(
         &self,
@@ -171,11 +171,12 @@ impl Optics {
         wet: &Wet,
     ) -> Lane3 {
         const PARTS: usize = 4;
-        /// Nearest that a point of the liquid counts to an LED [m].
+        /// Minimum distance between a point of the liquid and an LED [m].
         const NEAREST: f32 = 1e-3;
         let mut sum = [[0.0; LANES]; 3];
         for part in 0..PARTS {
-            // Parts grow with the square of their number: most light comes back from nearby.
+            // Interval boundaries grow with the squared index: most scattered light comes from
+            // nearby.
             let [from, to] = [part, part + 1].map(|p| (p * p) as f32 / (PARTS * PARTS) as f32);
             for led in leds {
                 let (mut power, mut total, mut lobe) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
@@ -202,8 +203,8 @@ impl Optics {
         sum
     }
 
-    /// The surfaces themselves: what they let through of the radiance from beyond, what they mirror
-    /// of that `mirrored` on the eye's side, and the mirror images of the LEDs.
+    /// Applies the surfaces: radiance transmitted from beyond, `mirrored` radiance reflected on the
+    /// camera's side, and the mirror images of the LEDs.
     #[inline(always)]
     pub fn meet_surface(
         &self,
@@ -228,7 +229,7 @@ impl Optics {
         }
     }
 
-    /// Adds mirror images of an LED in the surface, which is rough by a Gaussian of slopes.
+    /// Adds mirror images of an LED in the surface, whose roughness is a Gaussian of slopes.
     #[inline(always)]
     fn add_image(&self, directions: &Lane3, led: &Led, wet: &Wet, sum: &mut Lane3) {
         let (mut image, mut length, mut lobe) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
@@ -238,7 +239,7 @@ impl Optics {
             let square = max(dot(offset, offset), 1e-8);
             let light = scale(offset, 1.0 / square.sqrt());
             let half = normalize(sub(light, direction));
-            // The eye is on the side that the ray comes from.
+            // The camera is on the side that the ray comes from.
             let normal = half[2] * -1f32.copysign(direction[2]);
             lobe[i] = clamp(-dot(light, led.direction), 0.0, 1.0);
             // A Gaussian as wide as the disc, see `Film::add_image`.
@@ -261,7 +262,7 @@ impl Optics {
     }
 }
 
-/// Turns cosines into shares of an LED's intensity.
+/// Replaces cosines by fractions of an LED's intensity.
 #[inline(always)]
 fn shape(lobe: &mut Lane, exponent: f32) {
     if exponent == 1.0 {
@@ -273,15 +274,15 @@ fn shape(lobe: &mut Lane, exponent: f32) {
 }
 
 impl Wet {
-    /// Whether any ray meets the surface.
+    /// True if any ray hits the surface.
     #[inline(always)]
     pub fn turns(&self) -> bool {
         self.turn.lanes().contains(&true)
     }
 
-    /// Length of the way from an LED to a point that lies in the liquid of lane `i` [m].
+    /// Length of the liquid between an LED and a point that lies in the liquid of lane `i` [m].
     ///
-    /// LEDs are where the eye is: in its pool, or in none.
+    /// LEDs are in the camera's pool, or in none.
     #[inline(always)]
     fn length_in_liquid(&self, led: Vec3, point: Vec3, i: usize) -> f32 {
         let offset = sub(led, point);

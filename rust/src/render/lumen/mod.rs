@@ -34,15 +34,15 @@ struct LiquidParameters {
     roughness: f32,
 }
 
-/// Pools: levels [p] in the outside world [m], the pool of each vertex [n] (0 for none, the first
-/// is 1).
+/// Pools: levels [p] in the outside world [m], and the pool of each vertex [n] (0 for none, 1 for
+/// the first).
 #[derive(FromPyObject)]
 struct PoolArrays<'py> {
     levels: PyReadonlyArray1<'py, f64>,
     of_vertex: PyReadonlyArray1<'py, u16>,
 }
 
-/// Contents of a lumen at one instant, ready to be rendered.
+/// Contents of a lumen at one instant, ready for rendering.
 #[pyclass(module = "vrcaps._core")]
 pub struct Contents {
     /// Bubbles.
@@ -59,7 +59,7 @@ pub struct Contents {
 
 #[pymethods]
 impl Contents {
-    /// Takes spheres in the wall's outside world, and pools.
+    /// Creates contents from spheres in the wall's outside world, and pools.
     #[new]
     fn new(
         wall: &Wall,
@@ -93,7 +93,7 @@ impl Contents {
         let rows = centers.as_array();
         let count = self.bubbles.all.len() + self.chyme.all.len();
         if rows.dim() != (count, 3) || !rows.iter().all(|x| x.is_finite()) {
-            return Err(PyValueError::new_err("Spheres move to as many finite centers."));
+            return Err(PyValueError::new_err("Spheres need one finite center each."));
         }
         let place = |k: usize| wall.localize([0, 1, 2].map(|axis| rows[[k, axis]]));
         self.bubbles.move_to(place);
@@ -101,7 +101,7 @@ impl Contents {
         Ok(())
     }
 
-    /// Whether particles leave the straight way from `origin` to each point free [n].
+    /// `true` where no particle occludes the segment from `origin` to a point [n].
     fn free<'py>(
         &self,
         py: Python<'py>,
@@ -116,8 +116,8 @@ impl Contents {
         detached(py, || self.chyme.free(origin, &points, extent)).into_pyarray(py)
     }
 
-    /// Whether wall and particles leave the straight way from each of `starts` [n 3] to its point
-    /// free [n].
+    /// `true` where neither wall nor particles occlude the segment from each of `starts` [n 3] to
+    /// its point [n].
     fn segments_unoccluded<'py>(
         &self,
         py: Python<'py>,

@@ -1,4 +1,4 @@
-//! Particles in a tile: surfaces that take the place of the wall in every channel.
+//! Particles in a tile: surfaces that replace the wall in every channel.
 
 use crate::lumen::clump::Met;
 use crate::lumen::spheres::Spheres;
@@ -12,12 +12,12 @@ use crate::wall::ray;
 use crate::wall::visibility::SHADOW_REACH;
 use rayon::prelude::*;
 
-/// `Attributes::face` of particle 0; the next have smaller numbers.
+/// `Attributes::face` of particle 0; the next have lower indices.
 const FIRST_PARTICLE: i32 = -2;
 /// Roughness of particles.
 const CHYME_ROUGHNESS: f32 = 0.6;
 
-/// Random lumps of one size, which tilt a surface and shade it.
+/// Random lumps of one size, which tilt the normal and modulate the color.
 #[derive(Clone, Copy)]
 struct Octave {
     /// Size [m].
@@ -35,7 +35,7 @@ const GRAIN: [Octave; 3] = [
     Octave { size: 0.18e-3, tilt: 0.3, contrast: 0.25 },
 ];
 
-/// Lumps of a particle by itself.
+/// Lumps of a single particle.
 fn lumps(radius: f32) -> [Octave; 2] {
     [
         Octave { size: 0.45 * radius, tilt: 0.4, contrast: 0.25 },
@@ -43,10 +43,10 @@ fn lumps(radius: f32) -> [Octave; 2] {
     ]
 }
 
-/// The particles of `Contents::chyme` that a tile sees.
+/// Hits of a tile's rays on the particles of `Contents::chyme`.
 pub type Particles = Met<LANES>;
 
-/// Puts particles of a class in the wall's place.
+/// Replaces the wall by particles of a class.
 #[inline(always)]
 pub fn write_particles(chyme: &Spheres, label: u8, met: &Particles, found: &mut Attributes) {
     for i in (0..LANES).filter(|&i| met.owner[i] != MISS) {
@@ -64,7 +64,7 @@ pub fn write_particles(chyme: &Spheres, label: u8, met: &Particles, found: &mut 
     }
 }
 
-/// Gives particles their color and their lumps.
+/// Sets color and lumps of particles.
 #[inline(always)]
 pub fn paint(chyme: &Spheres, met: &Particles, surface: &mut Surface) {
     for i in (0..LANES).filter(|&i| met.owner[i] != MISS) {
@@ -79,7 +79,7 @@ pub fn paint(chyme: &Spheres, met: &Particles, surface: &mut Surface) {
             rough = add(rough, scale(noise, tilt));
             shade += contrast * noise[k];
         }
-        // Lumps that turn away from the viewer are not seen.
+        // Lumps that face away from the viewer are invisible.
         let away = min(dot(rough, at(&surface.view, i)) - 0.05, 0.0);
         let normal = normalize(sub(rough, scale(at(&surface.view, i), away)));
         for k in 0..3 {
@@ -90,7 +90,7 @@ pub fn paint(chyme: &Spheres, met: &Particles, surface: &mut Surface) {
     }
 }
 
-/// Whether wall and particles leave straight ways free; the last trifle of each does not count.
+/// `true` for segments that neither wall nor particles occlude; the last bit of each is ignored.
 pub fn segments_unoccluded(chyme: &Spheres, wall: &Wall, segments: &[[Vec3; 2]]) -> Vec<bool> {
     let mut free = vec![false; segments.len()];
     free.par_chunks_mut(LANES).zip(segments.par_chunks(LANES)).for_each(|(out, chunk)| {
@@ -103,7 +103,7 @@ pub fn segments_unoccluded(chyme: &Spheres, wall: &Wall, segments: &[[Vec3; 2]])
                 low[k] = min(start[k], point[k]);
                 high[k] = max(start[k], point[k]);
             }
-            // Particles last: to march through a clump takes longest.
+            // Particles last: the march through a clump is the slowest test.
             *free = reach.is_finite()
                 && ray::cast::<true>(&wall.bvh, start, heading, reach, MISS).is_none()
                 && {

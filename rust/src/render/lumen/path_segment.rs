@@ -1,4 +1,4 @@
-//! A straight piece of the ways of a tile's rays, and what lies along it: bubbles and liquid.
+//! Straight segments of a tile's rays, and the contents along them: bubbles and liquid.
 
 use super::bubble::{Behind, Eye, Film};
 use super::liquid::{Optics, Wet};
@@ -8,29 +8,29 @@ use crate::render::led::Led;
 use crate::simd::f32x64::*;
 use crate::wall::packet::{Hits, Pyramid};
 
-/// Straight pieces of rays; distances count along the whole way from the eye.
+/// Straight segments of rays; distances are measured along the whole path from the camera.
 pub struct PathSegment<'a> {
     /// Directions, and the pyramid around them.
     pub rays: &'a Pyramid,
     /// Virtual start of each ray if its whole path were a straight extension of this segment [m].
     pub starts: &'a Lane3,
-    /// Their mean.
+    /// Mean of the starts.
     pub origin: Vec3,
-    /// Lanes that have such a piece.
+    /// Lanes that have such a segment.
     pub used: &'a [bool; LANES],
-    /// Lanes where it lies in liquid.
+    /// Lanes whose segment lies in liquid.
     pub soaked: [bool; LANES],
-    /// Start [m].
+    /// Start distance [m].
     pub from: &'a Lane,
-    /// End.
+    /// End distance [m].
     pub to: &'a Lane,
 }
 
-/// Bubbles along a piece, the farthest first, and what all have in common.
+/// Bubbles along a segment, the farthest first, and their common properties.
 pub struct Bubbles<'a> {
-    /// All there are.
+    /// All bubbles.
     pub spheres: &'a Spheres,
-    /// Those near the piece.
+    /// Bubbles near the segment.
     pub near: &'a [Near],
     /// Their shells.
     pub film: &'a Film,
@@ -39,7 +39,7 @@ pub struct Bubbles<'a> {
 }
 
 impl PathSegment<'_> {
-    /// Carries radiance from the end of the piece to its beginning.
+    /// Transports radiance from the end of the segment to its start.
     #[inline(always)]
     pub fn carry(
         &self,
@@ -91,7 +91,7 @@ impl PathSegment<'_> {
         }
     }
 
-    /// Takes the light of some lanes from where it has `reached` through the liquid to `goal`.
+    /// Transports the light of some lanes from the distance `reached` through the liquid to `goal`.
     #[inline(always)]
     fn soak(
         &self,
@@ -116,7 +116,7 @@ impl PathSegment<'_> {
     }
 }
 
-/// Ends of the straight paths from the eye [m].
+/// Ends of the straight paths from the camera [m].
 #[inline(always)]
 pub fn first_segment(wet: Option<&Wet>, hits: &Hits) -> Lane {
     let Some(wet) = wet else { return hits.distance };
@@ -124,7 +124,7 @@ pub fn first_segment(wet: Option<&Wet>, hits: &Hits) -> Lane {
 }
 
 /// Virtual starts of rays that continue along `heading` after a turn, as if their whole path were
-/// straight; the mean of these points, and the box around the paths to their `ends`.
+/// straight; the mean of these points, and the bounding box of the paths to their `ends`.
 #[inline(always)]
 pub fn unfolded(
     turn: &Turn,

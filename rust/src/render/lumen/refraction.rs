@@ -1,9 +1,9 @@
-//! Intersection of a ray with the level surface of a liquid; refraction (Snell's law) or reflection.
+//! Intersection of a ray with a liquid's level surface; refraction (Snell's law) or reflection.
 
 use crate::render::material::fresnel;
 use crate::simd::f32x64::*;
 
-/// `Turn::kind` of a ray that goes on straight.
+/// `Turn::kind` of a ray that continues straight.
 pub const STRAIGHT: u8 = 0;
 /// `Turn::kind` of a ray that is refracted.
 pub const REFRACTED: u8 = 1;
@@ -14,18 +14,18 @@ pub const REFLECTED: u8 = 2;
 pub struct Turn {
     /// Continuation of each lane.
     pub kind: [u8; LANES],
-    /// Way to the surface [m]; infinite where none is met.
+    /// Distance to the surface [m]; infinite without a hit.
     pub distance: Lane,
     /// Intersection [m].
     pub place: Lane3,
-    /// Unit direction in which the ray goes on.
+    /// Unit direction in which the ray continues.
     pub heading: Lane3,
-    /// Share of light that the surface mirrors.
+    /// Fraction of light that the surface reflects.
     pub reflectance: Lane,
 }
 
 impl Turn {
-    /// No lane meets a surface yet.
+    /// No lane hits a surface.
     pub fn none() -> Self {
         let zero = [0.0; LANES];
         Turn {
@@ -37,13 +37,13 @@ impl Turn {
         }
     }
 
-    /// Turns lane `i` at a height; `ior` is the index beyond the surface relative to that before.
+    /// Turns lane `i` at a level; `ior` is the index beyond the surface relative to that before it.
     #[inline(always)]
     pub fn set(&mut self, i: usize, origin: Vec3, direction: Vec3, level: f32, ior: f32) {
         let distance = (level - origin[2]) / direction[2];
         let [x, y, z] = direction;
         let inverse = 1.0 / ior;
-        // The square of the cosine beyond, by Snell's law; below 0 nothing gets through.
+        // The squared cosine beyond the surface, by Snell's law; negative for total reflection.
         let square = 1.0 - (1.0 - z * z) * inverse * inverse;
         let is_through = square > 0.0;
         let heading = if is_through {
@@ -58,11 +58,11 @@ impl Turn {
             self.place[k][i] = origin[k] + distance * direction[k];
             self.heading[k][i] = heading[k];
         }
-        // Exactly level, whatever the rounding of the way.
+        // Exactly level, regardless of the rounding of the distance.
         self.place[2][i] = level;
     }
 
-    /// Lanes that meet a surface.
+    /// Lanes that hit a surface.
     #[inline(always)]
     pub fn lanes(&self) -> [bool; LANES] {
         let mut lanes = [false; LANES];

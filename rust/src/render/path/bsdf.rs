@@ -1,4 +1,4 @@
-//! BSDF sampling: directions drawn from the lobes of the reflectance, values and densities.
+//! BSDF sampling: directions drawn from the lobes of the reflectance, with values and densities.
 
 use crate::render::material::{
     Angles, Clearcoat, Material, Surface, clearcoat_fresnel, fresnel, ggx, gloss_alpha, scatter,
@@ -7,7 +7,7 @@ use crate::render::material::{
 use crate::simd::f32x64::*;
 use std::f32::consts::PI;
 
-/// Numbers of 0 ≤ x < 1 that choose a lobe and a direction in it, for each lane.
+/// Random numbers 0 ≤ x < 1 that choose a lobe and a direction in it, for each lane.
 pub struct BsdfRandom {
     /// Chooses the lobe.
     pub lobe: Lane,
@@ -21,7 +21,7 @@ pub struct BsdfSample {
     pub direction: Lane3,
     /// Reflectance times cosine over the density of the direction; 0 below the horizon.
     pub weight: Lane3,
-    /// Part of the weight that is gloss.
+    /// Part of the weight that comes from the gloss lobes.
     pub gloss: Lane,
     /// Density of the direction [1/sr].
     pub pdf: Lane,
@@ -34,7 +34,7 @@ struct LobeProbabilities {
 }
 
 impl LobeProbabilities {
-    /// In proportion to what each lobe reflects, about.
+    /// Approximately in proportion to the light that each lobe reflects.
     #[inline(always)]
     fn new(albedo: Vec3, cos_view: f32, material: &Material) -> Self {
         let base = max((albedo[0] + albedo[1] + albedo[2]) * (1.0 / 3.0), 0.05);
@@ -45,7 +45,7 @@ impl LobeProbabilities {
     }
 }
 
-/// Probability of lane `i` to draw from the diffuse base.
+/// Probability that lane `i` samples the diffuse base.
 #[inline(always)]
 pub fn base_probability(surface: &Surface, material: &Material, i: usize) -> f32 {
     let cos_view = max(dot(at(&surface.view, i), at(&surface.normal, i)), 1e-4);
@@ -53,7 +53,7 @@ pub fn base_probability(surface: &Surface, material: &Material, i: usize) -> f32
     1.0 - probabilities.gloss - probabilities.clearcoat_lobe
 }
 
-/// A direction about a unit normal in proportion to its cosine, and that cosine.
+/// Samples a direction about a unit normal in proportion to its cosine; returns it and its cosine.
 #[inline(always)]
 pub fn cosine_direction(normal: Vec3, [u, v]: [f32; 2]) -> (Vec3, f32) {
     let ([right, up], (cosine, sine)) = (frame(normal), circle(u));
@@ -64,8 +64,8 @@ pub fn cosine_direction(normal: Vec3, [u, v]: [f32; 2]) -> (Vec3, f32) {
 
 /// Samples a direction for each lane from the mixture of the lobes.
 ///
-/// The density is that of the whole mixture, so that no lobe's peak meets a small density of
-/// another: the one-sample balance heuristic (Veach 1997, section 9.2.4).
+/// The density is that of the whole mixture, so that the peak of one lobe never meets a small
+/// density of another: the one-sample balance heuristic (Veach 1997, section 9.2.4).
 #[inline(always)]
 pub fn sample_bsdf(surface: &Surface, material: &Material, random: &BsdfRandom) -> BsdfSample {
     let clearcoat = Clearcoat::new(material);
@@ -110,11 +110,11 @@ pub fn sample_bsdf(surface: &Surface, material: &Material, random: &BsdfRandom) 
     out
 }
 
-/// BSDF value for light from a unit direction each; 0 below the horizon.
+/// BSDF values for light from one unit direction per lane; 0 below the horizon.
 pub struct BsdfValue {
     /// Reflectance of the base times cosine [1/sr].
     pub base: Lane3,
-    /// The same of gloss and clearcoat.
+    /// Reflectance of gloss and clearcoat times cosine [1/sr].
     pub gloss: Lane,
     /// Density with which `sample_bsdf` draws the direction [1/sr].
     pub pdf: Lane,
@@ -160,7 +160,7 @@ fn pdf(
         + probabilities.clearcoat_lobe * clearcoat_lobe
 }
 
-/// Two unit vectors that make a right-handed frame with a unit normal (Duff et al. 2017).
+/// Two unit vectors that form a right-handed frame with a unit normal (Duff et al. 2017).
 #[inline(always)]
 pub fn frame([x, y, z]: Vec3) -> [Vec3; 2] {
     let sign = 1.0f32.copysign(z);
@@ -169,7 +169,7 @@ pub fn frame([x, y, z]: Vec3) -> [Vec3; 2] {
     [[1.0 + sign * x * x * a, sign * b, -sign * x], [b, sign + y * y * a, -y]]
 }
 
-/// A micro-normal among those that the viewer sees (Dupuy and Benyoub 2023, spherical caps).
+/// Samples a visible microfacet normal (Dupuy and Benyoub 2023, spherical caps).
 #[inline(always)]
 fn visible_normal(view: Vec3, alpha: f32, v: f32, cosine: f32, sine: f32) -> Vec3 {
     let round = normalize([alpha * view[0], alpha * view[1], view[2]]);
@@ -189,7 +189,7 @@ fn select(first: bool, a: Vec3, b: Vec3) -> Vec3 {
     [0, 1, 2].map(|k| if first { a[k] } else { b[k] })
 }
 
-/// Cosine and sine of `u` turns, 0 ≤ u < 1, errors below 1e-6.
+/// Cosine and sine of `u` turns, 0 ≤ u < 1, with errors below 1e-6.
 #[inline(always)]
 pub fn circle(u: f32) -> (f32, f32) {
     let turn = if u > 0.5 { u - 1.0 } else { u };
@@ -244,7 +244,7 @@ mod tests {
         }
     }
 
-    /// The mean weight is the share of light that is reflected: by quadrature over the hemisphere.
+    /// The mean weight is the reflected fraction of light: by quadrature over the hemisphere.
     #[test]
     fn mean_weight_is_the_integral_of_the_reflectance() {
         for material in &MATERIALS {
@@ -260,7 +260,7 @@ mod tests {
         }
     }
 
-    /// ∫ density over the hemisphere is the share of draws that stay above the horizon.
+    /// ∫ density over the hemisphere is the fraction of samples above the horizon.
     #[test]
     fn density_is_that_of_the_draws() {
         let material = &MATERIALS[1];
@@ -269,7 +269,7 @@ mod tests {
             let (normal, view) = (at(&surface.normal, 0), at(&surface.view, 0));
             let probabilities = LobeProbabilities::new(at(&surface.albedo, 0), cos_view, material);
             let (alpha, clearcoat) = (gloss_alpha(roughness), Clearcoat::new(material));
-            // Octants about the normal, told apart by the side of view and of a slant.
+            // Octants about the normal, by the sides of the view and of a slanted direction.
             let cell = |d: Vec3| usize::from(dot(d, view) > 0.7) + 2 * usize::from(d[0] > 0.0);
             let (mut expected, mut counted) = ([0.0; 4], [0.0; 4]);
             over_hemisphere(normal, 400, |d, area| {

@@ -1,4 +1,4 @@
-//! Light subpaths: emitted by the LEDs with equal power, extended as the wall reflects them.
+//! Light subpaths: emitted by the LEDs with equal power, extended by reflections at the wall.
 
 use crate::render::led::Led;
 use crate::render::material::Surface;
@@ -17,7 +17,7 @@ use std::f32::consts::PI;
 /// An LED as an emitter of light paths.
 pub struct LedEmitter {
     led: Led,
-    /// Share of the light paths.
+    /// Fraction of the light paths.
     probability: f32,
     /// Density of directions on its axis [1/sr].
     peak: f32,
@@ -29,7 +29,7 @@ pub struct LightTransport<'a> {
     pub wall: &'a Wall,
     /// Labels, textures and reflectance of the wall.
     pub scene: &'a SceneData,
-    /// LEDs about the wall's center.
+    /// LEDs, relative to the wall's center.
     pub leds: &'a [Led],
     /// Angle between neighboring pixels [rad].
     pub pixel_angle: f32,
@@ -38,7 +38,7 @@ pub struct LightTransport<'a> {
 }
 
 impl LightTransport<'_> {
-    /// Surfaces that rays have met, seen from where `view` points.
+    /// Surfaces hit by rays, viewed along `view`.
     #[inline(always)]
     pub fn surface(&self, position: Lane3, view: Lane3, hits: &Hits) -> Surface {
         let found = attributes_at(self.wall, self.scene, position, view, hits);
@@ -49,31 +49,31 @@ impl LightTransport<'_> {
 /// A virtual point light on the wall.
 #[derive(Clone, Copy)]
 pub struct VirtualLight {
-    /// Place [m].
+    /// Position [m].
     pub point: Vec3,
     /// Triangle, in leaf order.
     pub triangle: u32,
-    /// As in `Hit::edges`, met from where its light comes from.
+    /// Barycentric edges as in `Hit::edges`, for a ray from the previous vertex.
     pub edges: Vec3,
     /// Unit normal of the triangle on that side.
     pub face_normal: Vec3,
-    /// Unit direction to where its light comes from.
+    /// Unit direction to the previous vertex.
     pub back: Vec3,
     /// Power of a light path over the density of its reflection [W/sr·…]: times reflectance and
     /// cosine it is radiant intensity [W/sr].
     pub carried: Vec3,
-    /// Virtual lights of a light path at this place, about [1/m²].
+    /// Approximate density of virtual lights per light path at this position [1/m²].
     pub density: f32,
-    /// About π times what its base sends straight out [W/sr].
+    /// Approximately π times the radiant intensity of its base along the normal [W/sr].
     pub sent: Vec3,
-    /// Unit normal with relief, roughness α of the gloss, and the cosine at which its light comes.
+    /// Unit normal with relief, roughness α of the gloss, and cosine of the incident light.
     pub normal: Vec3,
     pub alpha: f32,
     pub cosine: f32,
-    /// A matt place finds it as often by its own paths where cosines over square distance are the
-    /// number of light paths over this [m²].
+    /// Area [m²]: a camera path from a diffuse surface samples this point as often where cosines
+    /// over squared distance equal the number of light paths over this area.
     pub near: f32,
-    /// Reflections of its light with the one that it waits for.
+    /// Number of reflections of its light, including the pending one.
     pub order: u32,
 }
 
@@ -81,17 +81,17 @@ pub struct VirtualLight {
 #[derive(Clone, Copy)]
 pub struct LightVertex {
     number: u32,
-    /// Sum of its colors' power.
+    /// Sum of the power of its colors.
     power: f32,
-    /// The virtual light that it leaves there.
+    /// The virtual light at this vertex.
     pub source: VirtualLight,
 }
 
 impl VirtualLight {
-    /// Added to base colors, so that gloss is not left out where virtual lights are chosen.
+    /// Added to base colors so that the choice of virtual lights includes gloss.
     pub const GLOSS: f32 = 0.03;
 
-    /// Makes it what lane `i` has met: seen from a point in a unit direction, at a distance [m].
+    /// Writes it as the hit of lane `i`: viewed along a unit direction, at a distance [m].
     #[inline(always)]
     pub fn write_lane(
         &self,
@@ -109,7 +109,7 @@ impl VirtualLight {
     }
 }
 
-/// LEDs that shine, with shares in proportion to their power.
+/// LEDs with nonzero power, with probabilities in proportion to it.
 pub fn emitters(leds: &[Led]) -> Vec<LedEmitter> {
     let emitters = leds.iter().map(|led| {
         let peak = if led.exponent == 0.0 { 0.25 / PI } else { 0.5 * (led.exponent + 1.0) / PI };
@@ -123,7 +123,7 @@ pub fn emitters(leds: &[Led]) -> Vec<LedEmitter> {
     emitters
 }
 
-/// A vector given about a unit axis.
+/// Transforms a vector from the frame of a unit axis.
 #[inline(always)]
 fn turned(axis: Vec3, own: Vec3) -> Vec3 {
     let [right, up] = frame(axis);
@@ -131,8 +131,8 @@ fn turned(axis: Vec3, own: Vec3) -> Vec3 {
     normalize(add(along, scale(axis, own[2])))
 }
 
-/// Density of virtual lights of direct light that a light path leaves at a point with a unit
-/// normal, were it unoccluded [1/m²].
+/// Density of virtual lights that a light path creates by unoccluded direct light at a point with a
+/// unit normal [1/m²].
 #[inline(always)]
 pub fn density(emitters: &[LedEmitter], point: Vec3, face_normal: Vec3) -> f32 {
     let mut sum = 0.0;
@@ -179,7 +179,7 @@ pub fn emit(
 }
 
 impl LightVertex {
-    /// Of power `carried`; None where the light comes along the wall.
+    /// A vertex of power `carried`; None at grazing incidence.
     #[inline(always)]
     fn new(
         wall: &Wall,
@@ -236,7 +236,7 @@ pub fn extend_light_paths(
     let reflectance = reflectance(transport, light_paths, &rays);
     for (i, LightVertex { number, power, source }) in light_paths.iter().enumerate() {
         let (direction, Some(hit)) = rays[i] else { continue };
-        // The density of directions is cos/π about the face: the cosine cancels.
+        // The density of directions is cos/π about the face, so the cosine cancels.
         let factor = scale(at(&reflectance, i), PI);
         let carried = [0, 1, 2].map(|k| source.carried[k] * factor[k]);
         let chance = min((carried[0] + carried[1] + carried[2]) / power, 1.0);
@@ -255,7 +255,7 @@ pub fn extend_light_paths(
     next
 }
 
-/// Reflectance times cosine [1/sr] of virtual lights, seen from where paths go.
+/// Reflectance times cosine [1/sr] of virtual lights, for the directions in which paths continue.
 fn reflectance(
     transport: &LightTransport<'_>,
     light_paths: &[LightVertex],

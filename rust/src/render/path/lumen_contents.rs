@@ -1,6 +1,6 @@
 //! Lumen contents along paths: particles stop and reflect light, bubbles and liquid attenuate it.
 //!
-//! Path segments are straight: beyond the first surface nothing refracts them.
+//! Path segments are straight: nothing refracts them beyond the first surface.
 
 use crate::lumen::clump::Met;
 use crate::lumen::spheres::Near;
@@ -16,13 +16,13 @@ use crate::wall::ray::Hit;
 use crate::wall::visibility::SHADOW_REACH;
 use std::f32::consts::LOG2_E;
 
-/// Contents of the lumen that paths travel in.
+/// Contents of the lumen in which paths travel.
 pub struct LumenMedia<'a> {
-    /// The wall around them.
+    /// Wall around the contents.
     pub wall: &'a Wall,
     /// Contents of the lumen.
     pub contents: &'a Contents,
-    /// Pool under whose level the LEDs are.
+    /// Pool below whose level the LEDs are.
     pub of_leds: u16,
 }
 
@@ -40,7 +40,7 @@ impl LumenMedia<'_> {
         (hits, self.transmittance((start, heading, hits.distance), pool))
     }
 
-    /// Transmittance from an LED to a point; 0 where a particle is in between.
+    /// Transmittance from an LED to a point; 0 if a particle is in between.
     #[inline(always)]
     pub fn led_transmittance(&self, led: Vec3, point: Vec3) -> Vec3 {
         let offset = sub(point, led);
@@ -53,7 +53,7 @@ impl LumenMedia<'_> {
         self.transmittance((led, heading, distance), pool)
     }
 
-    /// Distance to the first particle on a ray, or else `until` [m], and the hit.
+    /// Distance to the first particle on a ray, or `until` if there is none [m], and the hit.
     #[inline(always)]
     fn meet_particles<const ANY: bool>(&self, ray: (Vec3, Vec3), until: f32) -> (f32, Met<1>) {
         let (chyme, mut near) = (&self.contents.chyme, Vec::new());
@@ -63,7 +63,7 @@ impl LumenMedia<'_> {
         chyme.meet_ray::<ANY>(&mut near, ray, until)
     }
 
-    /// Gives the particles among the surfaces met their position and material.
+    /// Sets position and material of the particles among the surfaces hit.
     #[inline(always)]
     pub fn shade_particles(&self, hits: &[(u32, Hit)], surface: &mut Surface) {
         let mut particles = Particles::nothing();
@@ -100,7 +100,7 @@ impl LumenMedia<'_> {
         [0, 1, 2].map(|k| transmittance[k] * exp2(-LOG2_E * optics.extinction(k) * soaked))
     }
 
-    /// Pool that a segment between two surfaces leads through: of the end that lies in it.
+    /// Pool through which a segment between two surfaces leads: that of the end that lies in it.
     #[inline(always)]
     fn pool_between(&self, start: (Vec3, u32), end: (Vec3, u32)) -> u16 {
         let Some((pools, _)) = &self.contents.pools else { return DRY };
@@ -116,7 +116,7 @@ impl LumenMedia<'_> {
         DRY
     }
 
-    /// Pool that a point at a surface lies in.
+    /// Pool in which a point at a surface lies.
     #[inline(always)]
     fn pool_at(&self, point: Vec3) -> u16 {
         let Some((pools, _)) = &self.contents.pools else { return DRY };

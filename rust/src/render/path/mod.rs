@@ -1,14 +1,13 @@
 //! Wavefront path tracing of indirect light (Kajiya 1986).
 //!
 //! The first reflection is the direct image by points of the LEDs, one for each sample. From each
-//! surface that a tile's rays meet, paths continue along the wall; at each surface they meet, light
-//! from a point of one LED is added (next event estimation). Paths pass LEDs, so nothing is counted
-//! twice.
-//! Light paths from the LEDs leave virtual lights on the wall, to which the first surfaces are
-//! connected (bidirectional path tracing: Veach 1997, chapter 10).
+//! surface that a tile's rays hit, paths continue along the wall; at each of their hits, light from
+//! a point of one LED is added (next event estimation). Paths do not hit LEDs, so no light is
+//! counted twice. Light paths from the LEDs create virtual lights on the wall, to which the first
+//! surfaces are connected (bidirectional path tracing: Veach 1997, chapter 10).
 //!
-//! Paths advance in wavefronts, not one by one: all of a band of tiles together, so that shading
-//! runs over lanes and shadow rays to an LED are traced as packets.
+//! Paths advance in wavefronts instead of one by one: all of a band of tiles together, so that
+//! shading runs over lanes and shadow rays to an LED are traced as packets.
 
 pub mod bsdf;
 pub mod light_paths;
@@ -31,20 +30,20 @@ use crate::simd::f32x64::*;
 pub struct Settings {
     /// Samples per pixel: paths of each camera ray.
     pub spp: u32,
-    /// Most reflections of a path; 1 is direct light.
+    /// Maximum number of reflections of a path; 1 is direct light.
     pub max_bounces: u32,
-    /// Chooses the paths.
+    /// Random seed of the paths.
     pub seed: u64,
 }
 
 /// Primary hits of a tile's rays, where paths start.
 pub struct PrimaryHit {
-    /// The surfaces.
+    /// Surfaces hit.
     pub surface: Surface,
-    /// Lanes that met one.
+    /// Lanes with a hit.
     pub hit: [bool; LANES],
-    /// Triangle met, in leaf order; `MISS` for what is no wall.
+    /// Triangle hit, in leaf order; `MISS` for anything but the wall.
     pub triangle: [u32; LANES],
-    /// Numbers of the pixels in the image.
+    /// Indices of the pixels in the image.
     pub pixel: [u32; LANES],
 }

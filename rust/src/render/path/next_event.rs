@@ -1,4 +1,4 @@
-//! Next event estimation: light of one LED at each surface that paths have met.
+//! Next event estimation: light of one LED at each surface that paths hit.
 
 use crate::render::led::Led;
 use crate::render::path::shadow_rays::{ShadowRay, ShadowRays};
@@ -7,8 +7,8 @@ use crate::render::path::tracer::{Path, Tracer};
 use crate::simd::f32x64::*;
 
 impl Tracer<'_> {
-    /// Requests a shadow ray to one LED from each surface that `paths` have met; `light` adds the
-    /// radiance that an unshadowed LED leaves there.
+    /// Requests a shadow ray to one LED from each surface that `paths` hit; `light` adds the
+    /// radiance that an unoccluded LED reflects there.
     #[inline(always)]
     pub(super) fn request_led_light(
         &self,
@@ -40,14 +40,14 @@ impl Tracer<'_> {
         }
     }
 
-    /// Point of an LED's disc that the shadow ray of a path starts from, relative to its center [m].
+    /// Start of a path's shadow ray on an LED's disc, relative to the LED's center [m].
     #[inline(always)]
     fn led_point(&self, path: &Path, reflection: u32, led: u32) -> Vec3 {
         let key = dimension(path.key, DISC_DIMENSION + reflection);
         self.transport.leds[led as usize].offset(point(key, path.sample))
     }
 
-    /// Chooses one LED for each lane in proportion to what it would add to the pixel unshadowed.
+    /// Chooses one LED for each lane in proportion to its unoccluded contribution to the pixel.
     #[inline(always)]
     fn choose_led(
         &self,
@@ -69,7 +69,7 @@ impl Tracer<'_> {
                 let weight = r * radiance[0][i] + g * radiance[1][i] + b * radiance[2][i];
                 let total = out.total[i] + weight;
                 let probability = if total > 0.0 { weight / total } else { 0.0 };
-                // One number decides all: within each outcome it is even again.
+                // One random number makes all choices: within each outcome it is uniform again.
                 let chosen = number[i] < probability;
                 number[i] = if chosen {
                     number[i] / probability
@@ -91,9 +91,9 @@ impl Tracer<'_> {
 /// One LED for each lane.
 struct ChosenLed {
     led: [u32; LANES],
-    /// Radiance that the surface would leave of its light.
+    /// Radiance that the surface reflects of its light.
     radiance: Lane3,
-    /// Weights of the choice: of this LED, and of all.
+    /// Weights of the choice: of this LED, and the sum over all.
     weight: Lane,
     total: Lane,
 }

@@ -1,11 +1,11 @@
 //! Connections from primary hits to virtual lights by resampled importance sampling (Talbot, Cline
 //! and Egbert 2005).
 //!
-//! Each quarter of a tile's pixels, one of every square of four, has the virtual lights of some
-//! hundred light paths as candidates. A pixel chooses as many as it has samples, in proportion to
-//! about what they contribute, weights them by the sum over all, and traces a visibility ray to
-//! each. A path sampled from the BSDF may reach the same point: the balance heuristic (Veach 1997)
-//! weights the two.
+//! Each quarter of a tile's pixels, one of each 2 × 2, has the virtual lights of some hundred light
+//! paths as candidates. A pixel chooses one per sample, approximately in proportion to their
+//! contributions, weights them by the sum over all, and traces a visibility ray to each. A path
+//! sampled from the BSDF may reach the same point: the balance heuristic (Veach 1997) weights the
+//! two.
 
 use crate::render::material::{Clearcoat, Material, Surface, clearcoat_fresnel, fresnel, ggx};
 use crate::render::path::PrimaryHit;
@@ -29,13 +29,13 @@ const GROUP: usize = LANES / 4;
 #[derive(Clone, Copy)]
 struct Connection {
     lane: u32,
-    /// Number of the virtual light among the candidates.
+    /// Index of the virtual light among the candidates.
     source: u32,
-    /// One over how often it was expected to be chosen.
+    /// One over the expected number of times it is chosen.
     weight: f32,
 }
 
-/// Scratch memory for what a tile chooses from; kept from tile to tile.
+/// Scratch memory of a tile's choices; reused between tiles.
 #[derive(Default)]
 pub struct Scratch {
     /// Target density of each virtual light at each receiver.
@@ -49,12 +49,12 @@ struct Receivers {
     position: [[f32; GROUP]; 3],
     normal: [[f32; GROUP]; 3],
     face_normal: [[f32; GROUP]; 3],
-    /// Base colors; 0 where nothing is seen.
+    /// Base colors; 0 without a surface.
     albedo: [[f32; GROUP]; 3],
 }
 
 impl Tracer<'_> {
-    /// Adds to `sums`, of one tile, its light by way of virtual lights for some samples.
+    /// Adds the light via virtual lights for some samples to `sums` of one tile.
     #[inline(always)]
     pub(super) fn connect_virtual_lights(
         &self,
@@ -88,7 +88,7 @@ impl Tracer<'_> {
         }
     }
 
-    /// Unoccluded radiance towards the viewer by up to `LANES` connections.
+    /// Unoccluded radiance towards the viewer through up to `LANES` connections.
     #[inline(always)]
     fn unoccluded_light(
         &self,
@@ -132,7 +132,7 @@ impl Tracer<'_> {
             let spread = -dot(source.face_normal, at(&directions, i)) / square;
             let own = taken.pdf[i] * spread;
             let MisWeights { base, gloss } = MisWeights::new(source.density, own, candidates.paths);
-            // Where the LED's own light is reflected, gloss at either end counts as gloss.
+            // For reflected LED light, gloss at either end counts as gloss.
             let glossy = if source.order == 1 { gloss } else { base };
             for k in 0..3 {
                 let matt = base * sent.base[k][i] + glossy * sent.gloss[i];
@@ -178,7 +178,7 @@ impl Tracer<'_> {
 }
 
 impl Receivers {
-    /// Of a quarter of a tile's lanes.
+    /// Receivers of a quarter of a tile's lanes.
     #[inline(always)]
     fn new(first: &PrimaryHit, face_normals: &Lane3, quarter: usize) -> Self {
         let lanes = std::array::from_fn(|p| {
@@ -201,7 +201,7 @@ impl Receivers {
         }
     }
 
-    /// Target density: about what a virtual light adds to each receiver, up to a common factor.
+    /// Target density: approximate contribution of a virtual light to each receiver, unscaled.
     #[inline(always)]
     fn target<const GLOSSY: bool>(
         &self,
@@ -267,7 +267,7 @@ impl Receivers {
                 }
                 let times = (sum[i] as u32) as f32 - taken[i];
                 taken[i] += times;
-                // The expected number of times, as rounded as the sums are.
+                // The expected number of times, with the rounding of the sums.
                 let weight = times / (sum[i] - before[i]);
                 connections.push(Connection {
                     lane: self.lanes[i] as u32,
@@ -279,12 +279,12 @@ impl Receivers {
     }
 }
 
-/// Gloss of virtual lights, about.
+/// Approximate gloss of virtual lights.
 struct Gloss {
     clearcoat: Clearcoat,
     /// Strength of the clearcoat.
     clearcoat_strength: f32,
-    /// Reflectance of the base's gloss at right angles.
+    /// Reflectance of the base's gloss at normal incidence.
     straight: f32,
 }
 
@@ -298,19 +298,19 @@ impl Gloss {
         }
     }
 
-    /// Whether there is any gloss.
+    /// True if there is any gloss.
     fn is_any(&self) -> bool {
         self.clearcoat_strength > 0.0 || self.straight > 0.0
     }
 
-    /// π times what a virtual light's gloss sends along a unit way, over what it carries.
+    /// π times the intensity of a virtual light's gloss along a unit direction, over `carried`.
     #[inline(always)]
     fn sent(&self, source: &VirtualLight, direction: Vec3) -> f32 {
         let half = add(direction, source.back);
         let square = max(dot(half, half), 1e-6);
         let inverse = 1.0 / square.sqrt();
         let cosine = dot(source.normal, half) * inverse;
-        // Half the length of the sum is the cosine between way and half vector.
+        // Half the length of the sum is the cosine between direction and half vector.
         let fresnel = clearcoat_fresnel(0.5 * square * inverse);
         let shown = max(dot(source.normal, direction), 0.5 * source.alpha);
         let base = max(self.straight, fresnel - 0.04) * ggx(cosine, source.alpha) * 0.25 / shown;
@@ -320,7 +320,7 @@ impl Gloss {
     }
 }
 
-/// A surface of other lanes.
+/// Surface with the given lanes of another.
 #[inline(always)]
 fn gathered(from: &Surface, lanes: &[usize; LANES]) -> Surface {
     let some = |v: &Lane| std::array::from_fn(|i| v[lanes[i]]);

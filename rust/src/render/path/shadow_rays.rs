@@ -1,6 +1,6 @@
 //! Shadow rays to the LEDs, requested one by one and traced together.
 //!
-//! Shadow rays from one LED share their origin. Sorted by direction, 64 neighbors make a narrow
+//! Shadow rays from one LED share their origin. Sorted by direction, 64 neighbors form a narrow
 //! packet, and are traced like a tile of an image.
 
 use crate::render::led::Led;
@@ -13,34 +13,34 @@ use crate::wall::packet::{Hits, MISS, Pyramid, trace_at_most};
 use crate::wall::ray;
 use crate::wall::visibility::{SHADOW_REACH, shadow_segments};
 
-/// Cells along each side of the square that directions are sorted by.
+/// Number of cells along each side of the square by which directions are sorted.
 const DIRECTION_CELLS: u32 = 16;
-/// Fewer rays, or wider apart, are traced one by one: sine of the packet's half angle.
+/// Minimum rays and sine of the maximum half angle of a packet; others are traced one by one.
 const MIN_PACKET: usize = 6;
 const MAX_PACKET_SINE: f32 = 0.6;
-/// Triangles after which the remaining rays are traced one by one: where triangles are small, a
-/// packet meets more of them than its rays do.
+/// Number of triangles after which the remaining rays are traced one by one: where triangles are
+/// small, a packet visits more of them than its rays do.
 const MAX_TRIANGLES: u32 = 300;
 
-/// Light from an LED to a point, on its way to a pixel.
+/// Light from an LED to a point, with its pixel.
 #[derive(Clone, Copy)]
 pub struct ShadowRay {
     /// Point on the wall [m].
     pub point: Vec3,
     /// Contribution to the pixel if it is unoccluded.
     pub light: Vec3,
-    /// Number of the pixel among the sums.
+    /// Index of the pixel among the sums.
     pub pixel: u32,
-    /// Number of the LED.
+    /// Index of the LED.
     pub led: u32,
     /// Start of the ray relative to the LED's center [m].
     pub start: Vec3,
 }
 
-/// Requests of one wavefront; its memory is kept from wavefront to wavefront.
+/// Requests of one wavefront; its memory is reused.
 #[derive(Default)]
 pub struct ShadowRays {
-    /// Requested since they were last resolved.
+    /// Requests since the last `resolve`.
     pub pending: Vec<ShadowRay>,
     keys: Vec<u32>,
     starts: Vec<u32>,
@@ -48,7 +48,7 @@ pub struct ShadowRays {
 }
 
 impl ShadowRays {
-    /// Adds to `sums` the unoccluded light and forgets all requests.
+    /// Adds the unoccluded light to `sums` and clears all requests.
     #[inline(always)]
     pub fn resolve(&mut self, tracer: &Tracer<'_>, sums: &mut [[f64; 3]]) {
         let leds = tracer.transport.leds;
@@ -76,7 +76,7 @@ impl ShadowRays {
         self.pending.clear();
     }
 
-    /// Test which of up to `LANES` rays from one LED are unoccluded.
+    /// Tests which of up to `LANES` rays from one LED are unoccluded.
     #[inline(always)]
     fn unoccluded(&self, wall: &Wall, led: &Led, chunk: &[u32]) -> [bool; LANES] {
         let (mut points, mut starts) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
@@ -118,7 +118,7 @@ impl ShadowRays {
         lit
     }
 
-    /// Puts the requests in order of LED and direction, by counting.
+    /// Sorts the requests by LED and direction, by counting.
     #[inline(always)]
     fn sort(&mut self, leds: &[Led]) {
         let cells = (DIRECTION_CELLS * DIRECTION_CELLS) as usize;
@@ -146,7 +146,7 @@ impl ShadowRays {
 }
 
 /// Cell of a direction of any length: the octahedron unfolded to a square (Cigolle et al. 2014),
-/// its cells numbered so that those in a row are neighbors (Morton 1966).
+/// with cells indexed so that consecutive ones are neighbors (Morton 1966).
 #[inline(always)]
 fn cell([x, y, z]: Vec3) -> u32 {
     let inverse = 1.0 / max(x.abs() + y.abs() + z.abs(), 1e-20);

@@ -1,13 +1,13 @@
 //! Owen-scrambled Sobol points: the first two dimensions of Sobol's sequence (1967), scrambled
 //! after Owen (1995) by hashing (Burley 2020, *Practical hash-based Owen scrambling*).
 //!
-//! A number depends on the seed, the pixel, the dimension and the sample only: not on threads, nor
-//! on the order in which paths are traced.
+//! A random number depends only on the seed, the pixel, the dimension and the sample, not on
+//! threads or the order in which paths are traced.
 
-/// First dimension of the points of LEDs' discs; those of paths are four a reflection.
+/// First dimension of the points of LEDs' discs; paths use four dimensions per reflection.
 pub const DISC_DIMENSION: u32 = 500;
 
-/// A whole number that looks random (Wellons 2018, `lowbias32`).
+/// Pseudorandom integer (Wellons 2018, `lowbias32`).
 #[inline(always)]
 pub fn hash(x: u32) -> u32 {
     let x = (x ^ (x >> 16)).wrapping_mul(0x7feb_352d);
@@ -15,19 +15,19 @@ pub fn hash(x: u32) -> u32 {
     x ^ (x >> 16)
 }
 
-/// A number of 0 ≤ x < 1 from the upper bits.
+/// Random number 0 ≤ x < 1 from the upper bits.
 #[inline(always)]
 pub fn unit(bits: u32) -> f32 {
     (bits >> 8) as i32 as f32 * (1.0 / 16_777_216.0)
 }
 
-/// Key of a dimension of a pixel's numbers.
+/// Key of a dimension of a pixel's random numbers.
 #[inline(always)]
 pub fn dimension(pixel_key: u32, number: u32) -> u32 {
     hash(pixel_key ^ number.wrapping_mul(0x9e37_79b9))
 }
 
-/// Point `index` of the sequence that belongs to `key`.
+/// Point `index` of the sequence of `key`.
 #[inline(always)]
 pub fn point(key: u32, index: u32) -> [f32; 2] {
     let order = mix(index.reverse_bits(), key).reverse_bits();
@@ -36,7 +36,7 @@ pub fn point(key: u32, index: u32) -> [f32; 2] {
     [unit(x.reverse_bits()), unit(y.reverse_bits())]
 }
 
-/// The second of Sobol's dimensions, lowest bit first, where the first is `index` itself.
+/// Second Sobol dimension, lowest bit first; the first dimension is `index` itself.
 ///
 /// Its matrix is Pascal's triangle modulo 2: it replaces x by 1 + x in the polynomial whose
 /// coefficients are the bits, and (1 + x)^2ᵏ = 1 + x^2ᵏ lets halves be treated at once.
@@ -49,8 +49,8 @@ fn second(index: u32) -> u32 {
     x ^ ((x & 0xaaaa_aaaa) >> 1)
 }
 
-/// Owen's scrambling of bits, lowest first: each is flipped or not, by those below it (Laine and
-/// Karras 2011, with the constants of Vegdahl 2021).
+/// Owen scrambling of bits, lowest first: each is flipped or not, depending on those below it
+/// (Laine and Karras 2011, with the constants of Vegdahl 2021).
 #[inline(always)]
 fn mix(x: u32, key: u32) -> u32 {
     let x = x ^ x.wrapping_mul(0x3d20_adea);
@@ -63,7 +63,7 @@ fn mix(x: u32, key: u32) -> u32 {
 mod tests {
     use super::*;
 
-    /// Of 2ᵐ points each box of 2⁻ᵏ by 2ᵏ⁻ᵐ holds one.
+    /// Of 2ᵐ points each box of 2⁻ᵏ by 2ᵏ⁻ᵐ contains one.
     #[test]
     fn every_elementary_box_holds_one_point() {
         for key in (0..40).map(hash) {

@@ -3,8 +3,8 @@
 //! Scattering is isotropic, by the similarity of reduced coefficients. Free paths are sampled for
 //! one color, in proportion to the throughput of each, and weighted for all three by the density of
 //! the mixture (Chiang, Kutz and Burley 2016; Kutz et al. 2017). The interface is the wall's own
-//! triangles: light that comes out elsewhere, such as on the far side of a fold, is seen there.
-//! Behind the wall tissue goes on without end.
+//! triangles: light that exits elsewhere, such as on the far side of a fold, is visible there.
+//! Tissue extends without limit behind the wall.
 
 use crate::pool::detached;
 use crate::render::material::fresnel;
@@ -18,34 +18,35 @@ use numpy::{IntoPyArray, PyArray2, ndarray::Array2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// Most free paths of a walk; so few last longer that it is no more than a safeguard.
+/// Maximum number of free paths of a walk; so few last longer that it is only a safeguard.
 const MAX_FREE_PATHS: u32 = 8192;
-/// One over the share below which a walk may end early (Russian roulette); ends are noise.
+/// Inverse of the throughput below which a walk may end early (Russian roulette); ends add noise.
 const RR_SURVIVAL: f32 = 2.0;
-/// Ray offset from the wall, as a fraction of the largest coordinate: beyond rounding.
+/// Ray offset from the wall, as a fraction of the largest coordinate: larger than rounding errors.
 const OFFSET: f32 = 2e-6;
-/// Least single-scattering albedo, so that no coefficient is without bound.
+/// Minimum single-scattering albedo, which bounds the coefficients.
 const MIN_ALBEDO: f32 = 0.01;
 
-/// Tissue behind a wall: how it scatters, and how much it absorbs by what the wall looks like.
+/// Tissue behind a wall: its scattering, and its absorption as a function of the wall's color.
 #[derive(Clone)]
 pub struct Tissue {
     /// Reduced scattering coefficient for red, green and blue [1/m].
     pub scattering: Vec3,
     /// Refractive index over that of the lumen, 1 or more.
     pub ior: f32,
-    /// √(1 − single-scattering albedo) for base colors from 0 to 1 in even steps.
+    /// √(1 − single-scattering albedo) for base colors from 0 to 1 in uniform steps.
     pub albedo_roots: Vec<f32>,
     /// Transmittance of the interface for diffuse light from outside.
     pub diffuse_transmittance: f32,
-    /// Cosine inside at which a half-space under diffuse light has its mean radiance, and for the
-    /// base colors of `albedo_roots` how much, as a fraction, it is brighter per cosine less.
+    /// Internal cosine at which a half-space under diffuse light has its mean radiance, and, for
+    /// the base colors of `albedo_roots`, the relative rise in brightness per decrease of that
+    /// cosine.
     pub mean_cosine: f32,
     /// See `mean_cosine`.
     pub angular_slopes: Vec<f32>,
 }
 
-/// Tissue at one place.
+/// Optical properties of tissue at one position.
 #[derive(Clone, Copy)]
 pub struct Medium {
     /// Single-scattering albedo.
@@ -57,7 +58,7 @@ pub struct Medium {
 }
 
 impl Tissue {
-    /// Tissue that gives back diffuse light in a base color.
+    /// Tissue that reflects diffuse light with a base color.
     #[inline(always)]
     pub fn medium(&self, color: Vec3) -> Medium {
         let albedo = color.map(|c| {
@@ -74,11 +75,11 @@ impl Tissue {
         color.map(|c| between(&self.angular_slopes, c))
     }
 
-    /// Mean displacement along its first direction of the light that leaves a half-space, weighted by
-    /// the exiting light [m].
+    /// Mean displacement, along its first direction, of the light that leaves a half-space,
+    /// weighted by the exiting light [m].
     ///
-    /// In free paths: 0.94 − 0.56 √(1 − albedo), by walks in a half-space of index 1.4 from 20 to
-    /// 45 degrees, within 7 % for albedos of 0.6 to 0.985.
+    /// In free paths: 0.94 − 0.56 √(1 − albedo), fitted to walks in a half-space of index 1.4 from
+    /// 20 to 45 degrees, within 7 % for albedos of 0.6 to 0.985.
     pub fn drift(&self, color: Vec3) -> Vec3 {
         [0, 1, 2].map(|k| {
             let root = between(&self.albedo_roots, color[k]);
@@ -86,14 +87,14 @@ impl Tissue {
         })
     }
 
-    /// Transmittance of the interface at a cosine outside, over that of diffuse light.
+    /// Transmittance of the interface at an external cosine, over that of diffuse light.
     #[inline(always)]
     pub fn transmittance(&self, cosine: f32) -> f32 {
         (1.0 - fresnel(cosine, self.ior)) / self.diffuse_transmittance
     }
 }
 
-/// A value of a table over 0 to 1 in even steps.
+/// Interpolates a table over 0 to 1 in uniform steps.
 #[inline(always)]
 fn between(table: &[f32], x: f32) -> f32 {
     let place = clamp(x, 0.0, 1.0) * (table.len() - 1) as f32;
@@ -104,11 +105,11 @@ fn between(table: &[f32], x: f32) -> f32 {
 /// A ray into or inside tissue.
 #[derive(Clone, Copy)]
 pub struct TissueRay {
-    /// Place [m].
+    /// Origin [m].
     pub origin: Vec3,
     /// Unit direction.
     pub direction: Vec3,
-    /// Triangle it leaves; `MISS` for none.
+    /// Triangle that it leaves; `MISS` for none.
     pub from: u32,
 }
 
@@ -116,9 +117,9 @@ pub struct TissueRay {
 pub struct SubsurfaceExit {
     /// Hit.
     pub hit: Hit,
-    /// Place [m].
+    /// Exit point [m].
     pub point: Vec3,
-    /// The face's unit normal, away from the tissue.
+    /// Unit normal of the face, away from the tissue.
     pub face_normal: Vec3,
     /// Throughput of red, green and blue.
     pub throughput: Vec3,
@@ -126,9 +127,9 @@ pub struct SubsurfaceExit {
 
 /// The interface at which tissue ends.
 pub trait Interface {
-    /// Offset of a path's start from it [m].
+    /// Offset of a path's start from the interface [m].
     fn offset(&self) -> f32;
-    /// Intersection of a path within `reach` [m], and the unit normal there, away from the tissue.
+    /// Intersection of a path within `reach` [m], and its unit normal, away from the tissue.
     fn intersect(&self, ray: &TissueRay, reach: f32) -> Option<(Hit, Vec3)>;
 }
 
@@ -152,11 +153,11 @@ impl Interface for Wall {
 
 /// An infinite plane: tissue fills a half-space.
 pub struct PlaneInterface {
-    /// A place on it [m].
+    /// A point on the plane [m].
     pub point: Vec3,
     /// Unit normal, away from the tissue.
     pub normal: Vec3,
-    /// Offset of a path's start from it [m].
+    /// Offset of a path's start from the plane [m].
     pub offset: f32,
 }
 
@@ -176,7 +177,7 @@ impl Interface for PlaneInterface {
     }
 }
 
-/// Random numbers of one walk: the first spread evenly over the walks of a key.
+/// Random numbers of one walk: the first is stratified over the walks of a key.
 pub struct RandomStream {
     key: u32,
     count: u32,
@@ -184,7 +185,7 @@ pub struct RandomStream {
 }
 
 impl RandomStream {
-    /// The numbers of one of a key's walks.
+    /// Random numbers of one of a key's walks.
     #[inline(always)]
     pub fn new(key: u32, random_walk: u32) -> Self {
         let [free, height] = point(key, random_walk);
@@ -258,7 +259,7 @@ pub fn random_walk(
     None
 }
 
-/// Chance of each color to be the one that a free path is drawn for.
+/// Probability that each color is the one for which a free path is sampled.
 #[inline(always)]
 fn chances(throughput: Vec3, medium: &Medium) -> Vec3 {
     let weight = [0, 1, 2].map(|k| throughput[k] * medium.albedo[k]);
@@ -278,7 +279,7 @@ impl Medium {
     }
 }
 
-/// A new direction, even over the sphere, at the end of a free path.
+/// A new direction, uniform over the sphere, at the end of a free path.
 #[inline(always)]
 fn scatter(ray: TissueRay, free: f32, stream: &mut RandomStream) -> TissueRay {
     let z = 1.0 - 2.0 * stream.next();
@@ -290,7 +291,7 @@ fn scatter(ray: TissueRay, free: f32, stream: &mut RandomStream) -> TissueRay {
     }
 }
 
-/// Unit normal of the face met, on the side that the light goes to.
+/// Unit normal of the face hit, on the side towards which the light travels.
 #[inline(always)]
 fn outward(wall: &Wall, hit: &Hit, direction: Vec3) -> Vec3 {
     let [a, b, c] = wall.bvh.triangles[hit.triangle as usize].corners;
@@ -298,17 +299,17 @@ fn outward(wall: &Wall, hit: &Hit, direction: Vec3) -> Vec3 {
     if dot(normal, direction) < 0.0 { scale(normal, -1.0) } else { normal }
 }
 
-/// Share of light inside that a smooth interface reflects back in.
+/// Fraction of light inside that a smooth interface reflects back.
 #[inline(always)]
 fn fresnel_within(cosine: f32, ior: f32) -> f32 {
     let square = 1.0 - (1.0 - cosine * cosine) * ior * ior;
     if square > 0.0 { fresnel(square.sqrt(), ior) } else { 1.0 }
 }
 
-/// Walks in the tissue behind a wall from `origin` [m] along `direction`: where each comes out [n
-/// 3] (NaN: absorbed) and what is left of red, green and blue [n 3].
+/// Walks in the tissue behind a wall from `origin` [m] along `direction`: returns exit points [n 3]
+/// (NaN if absorbed) and the throughput of red, green and blue [n 3].
 ///
-/// `albedo` is of single scattering, `extinction` in 1/m.
+/// `albedo` is the single-scattering albedo, `extinction` is in 1/m.
 #[pyfunction]
 #[pyo3(signature = (wall, origin, direction, *, albedo, extinction, ior, count, seed))]
 #[allow(clippy::too_many_arguments, clippy::type_complexity)] // one keyword each
@@ -350,8 +351,8 @@ pub fn walk_tissue<'py>(
     let points = Array2::from_shape_vec((rows, 3), points.into_flattened());
     let throughputs = Array2::from_shape_vec((rows, 3), throughputs.into_flattened());
     Ok((
-        points.expect("three numbers a random_walk").into_pyarray(py),
-        throughputs.expect("three numbers a random_walk").into_pyarray(py),
+        points.expect("three coordinates per walk").into_pyarray(py),
+        throughputs.expect("three coordinates per walk").into_pyarray(py),
     ))
 }
 

@@ -12,20 +12,20 @@ use crate::render::path::tracer::{Path, Tracer};
 use crate::simd::f32x64::*;
 use crate::wall::packet::{Hits, MISS};
 
-/// Dimension of the random numbers of walks; those of paths are four a reflection.
+/// Dimension of the random numbers of walks; paths use four dimensions per reflection.
 const WALK_DIMENSION: u32 = 1000;
 
 /// A path that has entered the tissue.
 pub struct SubsurfaceEntry {
     path: Path,
-    /// Base color of the wall there.
+    /// Base color of the wall at the entry.
     color: Vec3,
 }
 
 impl Tracer<'_> {
-    /// Sends some of the paths at a surface into the tissue, all of them at the last reflection.
+    /// Sends some of a surface's paths into the tissue, all of them at the last reflection.
     ///
-    /// Returns the chance that each had to stay outside, 0 for those that have entered.
+    /// Returns the probability that each stayed outside, 0 for those that have entered.
     #[inline(always)]
     pub(super) fn enter_tissue(
         &self,
@@ -61,17 +61,17 @@ impl Tracer<'_> {
         stays
     }
 
-    /// A path just behind a face of unit normal `face_normal`, on its way into the tissue.
+    /// Moves a path just behind a face of unit normal `face_normal`, towards the tissue.
     #[inline(always)]
     fn turn_inward(&self, mut path: Path, face_normal: Vec3) -> Path {
-        // Relief may lead out through the face itself.
+        // A normal with relief may lead out through the face itself.
         let out = max(dot(path.direction, face_normal), 0.0);
         path.direction = sub(path.direction, scale(face_normal, 2.0 * out));
         path.origin = sub(path.origin, scale(face_normal, ray_offset(self.transport.wall)));
         path
     }
 
-    /// Takes paths through the tissue, asks for light where they come out, and sends them on.
+    /// Traces paths through the tissue, requests light at their exits, and continues them.
     #[inline(always)]
     pub(super) fn walk_tissue_paths(
         &self,
@@ -104,7 +104,7 @@ impl Tracer<'_> {
         }
     }
 
-    /// Lights up to `LANES` places where paths leave the tissue, and sends them on.
+    /// Lights up to `LANES` points where paths exit the tissue, and continues the paths.
     #[inline(always)]
     fn exit_tissue(
         &self,
@@ -134,7 +134,7 @@ impl Tracer<'_> {
         }
     }
 
-    /// Surfaces that paths leave, seen from straight outside.
+    /// Surfaces at the exits, viewed from outside along the normal.
     #[inline(always)]
     fn exit_surfaces(&self, block: &[(Path, SubsurfaceExit)]) -> Surface {
         let mut hits = Hits::within([0.0; LANES]);
@@ -142,7 +142,7 @@ impl Tracer<'_> {
         for (i, (path, exit)) in block.iter().enumerate() {
             hits.triangle[i] = exit.hit.triangle;
             for k in 0..3 {
-                // As met from the other side.
+                // Edges of a hit from the other side.
                 hits.edges[k][i] = -exit.hit.edges[k];
                 position[k][i] = path.origin[k];
                 view[k][i] = exit.face_normal[k];

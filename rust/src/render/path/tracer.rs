@@ -1,4 +1,4 @@
-//! Tracer of camera paths, and one path: what every part of path tracing shares.
+//! Camera-path tracer and path state, shared by all parts of path tracing.
 
 use crate::render::material::Surface;
 use crate::render::path::light_paths::LightTransport;
@@ -9,49 +9,49 @@ use crate::render::path::virtual_lights::{MisWeights, VirtualLights};
 use crate::simd::f32x64::*;
 use crate::wall::packet::MISS;
 
-/// Reflections that every path takes; after them a path may end early (Russian roulette).
+/// Number of reflections of every path; after them a path may end early (Russian roulette).
 const RR_MIN_BOUNCES: u32 = 2;
-/// Russian roulette: survival probability over throughput. Most of the noise is light of late
-/// reflections, which are few, so that more of them pay.
+/// Russian roulette: survival probability over throughput. Most noise comes from late reflections;
+/// they are few, so more of them are worth their cost.
 const RR_SURVIVAL: f32 = 3.0;
 
 /// Tracer of camera paths.
 pub struct Tracer<'a> {
-    /// Transport of light, shared with the LEDs' paths.
+    /// Light transport, shared with the light paths.
     pub transport: LightTransport<'a>,
     /// Lumen contents; None for an empty lumen.
     pub media: Option<LumenMedia<'a>>,
     /// Virtual lights of the LEDs, if surfaces are connected to them.
     pub sources: Option<&'a VirtualLights>,
-    /// Light paths whose virtual lights are candidates at a time.
+    /// Number of light paths whose virtual lights are candidates at a time.
     pub candidate_paths: usize,
 }
 
-/// A path on its way from one surface to the next.
+/// A path between two surfaces.
 #[derive(Clone, Copy)]
 pub struct Path {
     pub origin: Vec3,
     pub direction: Vec3,
-    /// Weight of radiance found along it in the pixel.
+    /// Weight of its radiance in the pixel.
     pub throughput: Vec3,
-    /// Number of its pixel among the sums.
+    /// Index of its pixel among the sums.
     pub pixel: u32,
     /// Key of its pixel's random numbers.
     pub key: u32,
     pub sample: u32,
-    /// Triangle it leaves.
+    /// Triangle that it leaves.
     pub from: u32,
-    /// Density with which it was drawn, where its surface may be connected to a virtual light: of
-    /// its direction [1/sr] on the way there, of its place [1/m²] there; infinite elsewhere.
+    /// Sampling density where its surface may be connected to a virtual light: of its direction
+    /// [1/sr] before the hit, of its position [1/m²] at the hit; infinite elsewhere.
     pub density: f32,
-    /// Part of the throughput that is gloss, where the density is finite.
+    /// Part of the throughput from gloss, where the density is finite.
     pub gloss: f32,
 }
 
 impl Path {
-    /// Weight of the path itself for the light that base and gloss of its current point reflect,
-    /// next to virtual lights, of which each of the given number of light paths leaves this many
-    /// there [1/m²].
+    /// MIS weights of the path for the light that base and gloss of its current point reflect,
+    /// relative to virtual lights; `density` is that of one light path's virtual lights there
+    /// [1/m²], `paths` the number of light paths.
     #[inline(always)]
     pub fn own(&self, density: f32, paths: usize) -> [Vec3; 2] {
         let MisWeights { base, gloss } = MisWeights::new(density, self.density, paths);
@@ -62,7 +62,7 @@ impl Path {
 }
 
 impl Tracer<'_> {
-    /// Ends some of the paths that carry little and makes up for them with the others.
+    /// Ends some paths of low throughput and reweights the others (Russian roulette).
     #[inline(always)]
     pub fn survives_roulette(&self, reflection: u32, path: &mut Path) -> bool {
         if reflection < RR_MIN_BOUNCES {
@@ -75,7 +75,7 @@ impl Tracer<'_> {
         unit(number) < chance
     }
 
-    /// Adds a path unless it carries nothing or leads into the wall, whose unit normal is
+    /// Adds a path unless its throughput is zero or it leads into the wall, whose unit normal is
     /// `face_normal`.
     #[inline(always)]
     pub fn extend_path(&self, mut path: Path, face_normal: Vec3, paths: &mut Vec<Path>) {
@@ -86,12 +86,12 @@ impl Tracer<'_> {
         }
     }
 
-    /// A surface without the base that tissue stands for, if light goes through tissue.
+    /// A surface without the base that the tissue replaces, if light passes through tissue.
     #[inline(always)]
     pub fn without_base(&self, surface: &Surface, triangles: &[u32; LANES]) -> Option<Surface> {
         self.transport.scene.tissue.as_ref().map(|_| surface.without_base(triangles))
     }
-    /// Unit normals of the faces on the viewer's side; the surface's own where there is no face.
+    /// Unit normals of the faces on the viewer's side; the surface's normal if there is no face.
     #[inline(always)]
     pub fn face_normals(&self, triangles: &[u32; LANES], surface: &Surface) -> Lane3 {
         let mut face_normals = surface.normal;

@@ -12,35 +12,34 @@ use crate::wall::packet::Hits;
 use rayon::prelude::*;
 use std::f32::consts::PI;
 
-/// Light paths of a block, and most blocks whose virtual lights are candidates at a time.
+/// Light paths per block, and the maximum number of blocks whose virtual lights are candidates.
 const BLOCK: usize = 128;
 const MAX_CANDIDATE_BLOCKS: usize = 8;
-/// Light paths whose virtual lights are candidates, for each sample.
+/// Number of candidate light paths per sample.
 const CANDIDATES_PER_SAMPLE: usize = 64;
-/// Most blocks of an image, and how many paths of the camera there are for a light path.
+/// Maximum number of blocks of an image, and number of camera paths per light path.
 const MAX_BLOCKS: u64 = 512;
 const CAMERA_PATHS_PER_LIGHT_PATH: u64 = 4;
-/// Weight of BSDF samples beside virtual lights: more where there is gloss, whose virtual lights
-/// throw spots of light that neighbors would share.
+/// MIS weight of BSDF samples relative to virtual lights: higher for gloss, whose virtual lights
+/// cause bright spots in neighboring pixels.
 pub const PATH_WEIGHT: MisWeights = MisWeights { base: 1.0, gloss: 16.0 };
-/// Least cosine at which light is taken to come to a virtual light, where virtual lights are
-/// chosen.
+/// Minimum cosine of incident light at a virtual light, in the choice of virtual lights.
 const LEAST_COSINE: f32 = 0.05;
 
 /// All virtual lights of an image.
 pub struct VirtualLights {
-    /// Block by block, in each those that lie together in a row.
+    /// Sorted by block; within a block, neighbors on the wall are consecutive.
     all: Vec<VirtualLight>,
-    /// First virtual light of each block; one number more than blocks.
+    /// Index of the first virtual light of each block, and the total number at the end.
     starts: Vec<usize>,
-    /// Density of virtual lights of light reflected before, about, were all light to come straight
-    /// [1/m²].
+    /// Approximate density of virtual lights of light that was reflected before, relative to that
+    /// of direct light [1/m²].
     pub scattered: f32,
-    /// LEDs that shine.
+    /// LEDs with nonzero power.
     pub emitters: Vec<LedEmitter>,
 }
 
-/// Virtual lights of some light paths.
+/// Virtual lights of some light paths, as candidates for a connection.
 pub struct Candidates<'a> {
     /// The virtual lights.
     pub sources: &'a [VirtualLight],
@@ -50,15 +49,15 @@ pub struct Candidates<'a> {
 
 /// Multiple importance sampling (MIS) weights of virtual lights.
 pub struct MisWeights {
-    /// In light that base reflects from base.
+    /// Weight of light reflected diffusely at both ends.
     pub base: f32,
-    /// In light in which gloss has a part.
+    /// Weight of light with a gloss reflection.
     pub gloss: f32,
 }
 
 impl MisWeights {
-    /// Weight where each of the given number of light paths leaves this many virtual lights, and the
-    /// camera's path arrives with a density of `own`; both in 1/m².
+    /// Weights for `sources` virtual lights per light path and a camera path of density `own` [1/m²
+    /// each], given the number of light paths.
     #[inline(always)]
     pub fn new(sources: f32, own: f32, paths: usize) -> Self {
         let sources = max(paths as f32 * sources, 1e-20);
@@ -68,7 +67,7 @@ impl MisWeights {
 }
 
 impl VirtualLights {
-    /// Of an image of so many pixels; None if no LED shines or light is reflected only once.
+    /// Virtual lights of an image of `pixels` pixels; None without LED power or indirect light.
     pub fn new(transport: &LightTransport<'_>, pixels: usize) -> Option<Self> {
         let emitters = emitters(transport.leds);
         if emitters.is_empty() || transport.settings.max_bounces < 2 {
@@ -90,7 +89,7 @@ impl VirtualLights {
         Some(sources)
     }
 
-    /// Virtual lights of so many light paths, which a number chooses.
+    /// Virtual lights of `paths` light paths, chosen by a random number.
     #[inline(always)]
     pub fn candidates(&self, number: u32, paths: usize) -> Candidates<'_> {
         let count = paths / BLOCK;
@@ -99,13 +98,13 @@ impl VirtualLights {
         Candidates { sources, paths }
     }
 
-    /// Light paths whose virtual lights are candidates for so many samples.
+    /// Number of light paths whose virtual lights are candidates for `samples` samples.
     pub fn candidate_paths(samples: u32) -> usize {
         (samples as usize * CANDIDATES_PER_SAMPLE / BLOCK).clamp(1, MAX_CANDIDATE_BLOCKS) * BLOCK
     }
 
-    /// Finds about how many virtual lights a light path leaves of light reflected before, by how
-    /// many there are and by where the LEDs' own light comes.
+    /// Estimates the density of virtual lights of light that was reflected before, from their
+    /// number and from the density of those of direct light.
     fn estimate_densities(&mut self) {
         let (mut firsts, mut seconds, mut logarithms) = (0u32, 0u32, 0.0f64);
         for source in &self.all {
@@ -123,7 +122,7 @@ impl VirtualLights {
     }
 }
 
-/// Virtual lights of a block of light paths, neighbors on the wall in a row.
+/// Virtual lights of a block of light paths, sorted by position on the wall.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -154,7 +153,7 @@ fn block(
     out
 }
 
-/// Finds about what virtual lights send.
+/// Estimates the intensity of virtual lights.
 fn color(transport: &LightTransport<'_>, sources: &mut [VirtualLight]) {
     let (mut hits, mut view) = (Hits::within([0.0; LANES]), [[0.0; LANES]; 3]);
     let mut position = [[0.0; LANES]; 3];
@@ -172,7 +171,7 @@ fn color(transport: &LightTransport<'_>, sources: &mut [VirtualLight]) {
     }
 }
 
-/// Puts virtual lights in an order in which neighbors are near each other (Morton 1966).
+/// Sorts virtual lights so that neighbors are near each other (Morton 1966).
 fn sort_by_place(sources: &mut [VirtualLight]) {
     let (mut low, mut high) = ([f32::MAX; 3], [f32::MIN; 3]);
     for VirtualLight { point, .. } in sources.iter() {

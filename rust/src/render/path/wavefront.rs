@@ -15,14 +15,14 @@ use crate::simd::f32x64::*;
 use crate::wall::packet::{Hits, MAX_DISTANCE, MISS};
 use crate::wall::ray::{self, Hit};
 
-/// Paths of one wavefront, about: enough that shadow rays have neighbors, few enough for a cache.
+/// Approximate number of paths: shadow rays need neighbors, the paths must fit into a cache.
 const WAVEFRONT_PATHS: usize = 65_536;
-/// Samples for each continued path where surfaces are connected to virtual lights.
+/// Number of samples for each continued path if surfaces are connected to virtual lights.
 const SAMPLES_PER_PATH: u32 = 2;
-/// Most samples that choose from the same virtual lights.
+/// Maximum number of samples that choose from the same virtual lights.
 const MAX_CONNECTED_SAMPLES: usize = 16;
 
-/// Paths of one wavefront, and scratch memory for the next.
+/// Paths of one wavefront, and scratch memory of the next.
 #[derive(Default)]
 struct Wavefront {
     paths: Vec<Path>,
@@ -34,7 +34,7 @@ struct Wavefront {
     scratch: Scratch,
 }
 
-/// Radiance [W/(sr·m²)] that surfaces of a band's tiles send to the viewer beyond direct light.
+/// Radiance [W/(sr·m²)] of indirect light from the surfaces of a band's tiles towards the viewer.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -71,13 +71,13 @@ pub fn indirect(tracer: &Tracer<'_>, firsts: &[PrimaryHit]) -> Vec<Lane3> {
         .collect()
 }
 
-/// Samples of so many tiles that make a wavefront.
+/// Number of samples of `tiles` tiles that form a wavefront.
 pub fn samples_per_wavefront(tiles: usize) -> u32 {
     (WAVEFRONT_PATHS / (tiles * LANES).max(1)).max(1) as u32
 }
 
 impl Tracer<'_> {
-    /// Starts paths from what the camera sees.
+    /// Starts paths at the primary hits.
     #[inline(always)]
     fn spawn_paths(
         &self,
@@ -132,7 +132,7 @@ impl Tracer<'_> {
         }
     }
 
-    /// Takes all paths to the next surface, asks for light there, and sends them on.
+    /// Traces all paths to the next surface, requests light there, and continues them.
     #[inline(always)]
     fn advance(&self, reflection: u32, wavefront: &mut Wavefront) {
         let Wavefront { paths, next, hits, entries, requests, .. } = wavefront;
@@ -156,7 +156,7 @@ impl Tracer<'_> {
         std::mem::swap(paths, next);
     }
 
-    /// Shades up to `LANES` surfaces met.
+    /// Shades up to `LANES` surfaces hit.
     #[inline(always)]
     fn shade(
         &self,
@@ -179,7 +179,7 @@ impl Tracer<'_> {
                 let sent =
                     density(&sources.emitters, at(&surface.position, i), at(&face_normals, i));
                 let [matt, shiny] = own[i].own(sent, self.candidate_paths);
-                // The base is dimmed instead of the light that comes.
+                // Attenuates the base instead of the incident light.
                 for k in 0..3 {
                     lit.albedo[k][i] *= matt[k] / max(shiny[k], 1e-30);
                 }
@@ -208,9 +208,9 @@ impl Tracer<'_> {
         self.scatter_paths(reflection, from, (&own, &used), (next, entries));
     }
 
-    /// Sends paths on from a surface: along the wall, or into the tissue behind it.
+    /// Continues paths from a surface: along the wall, or into the tissue behind it.
     ///
-    /// `without_base` is the surface without the base that tissue stands for.
+    /// `without_base` is the surface without the base that the tissue replaces.
     #[inline(always)]
     fn scatter_paths(
         &self,
@@ -269,7 +269,7 @@ impl Tracer<'_> {
         sample_bsdf(surface, &self.transport.scene.material, &draw)
     }
 
-    /// The surfaces that paths met.
+    /// Surfaces that paths hit.
     #[inline(always)]
     fn hit_surfaces(&self, block: &[(u32, Hit)], paths: &[Path; LANES]) -> Surface {
         let mut hits = Hits::within([0.0; LANES]);

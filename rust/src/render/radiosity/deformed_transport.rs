@@ -1,7 +1,7 @@
-//! Form factors of a deformed wall, from those at rest.
+//! Form factors of a deformed wall, derived from those at rest.
 //!
-//! A form factor scales as the geometry term cos θ cos θ' A/d², and the sum of a row is kept: a
-//! lumen stays closed. Visibility is as at rest.
+//! A form factor scales with the geometry term cos θ cos θ' A/d², and the sum of a row is conserved
+//! because the lumen stays closed. Visibility is that at rest.
 
 use super::Radiosity;
 use super::gather_points::GatherPoints;
@@ -9,12 +9,12 @@ use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use rayon::prelude::*;
 
-/// Least cosine that counts: a gather point is not a point.
+/// Minimum cosine: a gather point has an extent.
 const LEAST_COSINE: f32 = 0.1;
-/// Most by which a share grows or shrinks.
+/// Maximum factor by which a form factor grows or shrinks.
 const MOST: f32 = 8.0;
 
-/// Position of a gather point, for other points.
+/// Position of a gather point, as used by other points.
 #[derive(Clone, Copy)]
 pub struct Patch {
     point: Vec3,
@@ -29,7 +29,7 @@ impl Patch {
         Patch { point: wall.vertices[vertex], normal: wall.normals[vertex] }
     }
 
-    /// Light exchanged with another gather point per area of it [1/m²]; `size` is its spacing [m].
+    /// Exchange with another gather point per area of the latter [1/m²]; `size` is its spacing [m].
     #[inline(always)]
     pub fn geometry(&self, other: &Patch, size: f32) -> f32 {
         let offset = sub(other.point, self.point);
@@ -45,12 +45,12 @@ impl Patch {
 pub struct DeformedTransport<'a> {
     light: &'a Radiosity,
     rest: &'a Wall,
-    /// Current position of each gather point, and the growth of its area if it emits light.
+    /// Current position of each gather point, and its relative area if it emits light.
     now: Vec<(Patch, f32)>,
 }
 
 impl<'a> DeformedTransport<'a> {
-    /// Compares a wall with itself at rest; only gather points of a list give light.
+    /// Compares a wall with itself at rest; only the gather points in `giving` emit light.
     pub fn new(light: &'a Radiosity, rest: &'a Wall, wall: &Wall, giving: &[u32]) -> Self {
         let count = light.gather_points.vertex.len();
         let places = (0..count).into_par_iter().with_min_len(512);
@@ -68,8 +68,8 @@ impl<'a> DeformedTransport<'a> {
         self.now[gather_point].1
     }
 
-    /// Factors of a row's shares, given who they come from, how much they are and the exchange at
-    /// rest.
+    /// Factors on the form factors of a row, given for each link the other gather point, the form
+    /// factor and the geometry term at rest.
     #[inline(always)]
     pub fn factors(
         &self,
@@ -91,7 +91,7 @@ impl<'a> DeformedTransport<'a> {
         factors.into_iter().map(move |factor| factor * whole)
     }
 
-    /// Rotates a vector at a vertex as the wall has rotated there.
+    /// Rotates a vector at a vertex with the wall.
     #[inline(always)]
     pub fn turn(&self, wall: &Wall, vertex: usize, vector: Vec3) -> Vec3 {
         let parts = axes(self.rest, vertex).map(|axis| dot(axis, vector));
@@ -100,7 +100,7 @@ impl<'a> DeformedTransport<'a> {
     }
 }
 
-/// Unit axes that are fixed to the wall at a vertex: one towards a neighbor, the last its normal.
+/// Unit axes fixed to the wall at a vertex: the first towards a neighbor, the last the normal.
 fn axes(wall: &Wall, vertex: usize) -> [Vec3; 3] {
     let face = wall.faces[wall.faces_around(vertex)[0] as usize];
     let neighbor = face.into_iter().find(|&v| v as usize != vertex).unwrap_or(face[0]);

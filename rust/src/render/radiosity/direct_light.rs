@@ -10,19 +10,18 @@ use crate::wall::ray;
 use rayon::prelude::*;
 use std::f32::consts::TAU;
 
-/// Rays of all LEDs together, about: fewer miss hot spots where LEDs are near the wall.
+/// Approximate number of rays of all LEDs: with fewer, hot spots of LEDs near the wall are missed.
 const RAYS: usize = 2592;
-/// Arms of the spiral of an LED's rays (Fibonacci's number, so that those of an arm are neighbors).
+/// Arms of the spiral of an LED's rays (a Fibonacci number: rays of an arm are neighbors).
 const ARMS: usize = 21;
-/// Fewest rays of an LED are the square of this.
+/// Square root of the minimum number of rays of an LED.
 const LEAST_SIDE: usize = 8;
 
-/// Share of the gloss of the first reflection that counts. LEDs are beside the camera, and gloss
-/// throws their light on, away from both; measured against path tracing in three organs.
+/// Fraction of the gloss of the first reflection that counts. LEDs are next to the camera, and
+/// gloss reflects their light away from both; measured against path tracing in three organs.
 const GLOSS: f32 = 0.5;
 
-/// End of a ray: a gather point, and the light of the ray that it reflects, by color
-/// [W/m²].
+/// End of a ray: a gather point, and the light of the ray that it reflects, by color [W/m²].
 type End = (u32, Vec3);
 
 /// Radiosity of each gather point by its first reflection of the LEDs' light [W/m²].
@@ -30,8 +29,8 @@ pub fn direct_illumination(light: &Radiosity, wall: &Wall, leds: &[Led]) -> Vec<
     let side = ((RAYS as f32 / leds.len().max(1) as f32).sqrt() as usize).max(LEAST_SIDE);
     let lobe = |(k, led): (usize, &Led)| Lobe::shifted(led.direction, led.exponent, side, k);
     let lobes: Vec<Lobe> = leds.iter().enumerate().map(lobe).collect();
-    // Arms of all LEDs in turn around them: those that go one way meet the same part of the wall,
-    // which then is near the thread that sends them.
+    // Interleaves the arms of all LEDs by angle: arms of similar direction hit the same part of the
+    // wall, which is then in the cache of their thread.
     let mut arms: Vec<_> = (0..leds.len() * ARMS).map(|k| (k / ARMS, k % ARMS)).collect();
     arms.sort_by(|a, b| lobes[a.0].turns(a.1).total_cmp(&lobes[b.0].turns(b.1)));
     let ends: Vec<Vec<End>> = arms
@@ -51,7 +50,7 @@ pub fn direct_illumination(light: &Radiosity, wall: &Wall, leds: &[Led]) -> Vec<
     radiosity
 }
 
-/// Light that some of the rays of a lobe leave at their ends.
+/// Reflected light at the ends of some rays of a lobe.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -69,11 +68,11 @@ fn send(
     let (mut ends, mut pile) = (Vec::with_capacity(rays.len()), ray::Pile::default());
     for number in rays {
         let direction = lobe.on_spiral(number);
-        // Neighboring rays start at different places of the disc, by Roberts' sequence R2.
+        // Neighboring rays start at different points of the disc, by Roberts' sequence R2.
         let start = [0.754_877_7, 0.569_840_3].map(|step| (0.5 + number as f32 * step).fract());
         let ray = (add(led.position, led.offset(start)), direction);
         let hit = ray::cast_in::<false>(&mut pile, &wall.bvh, ray, f32::MAX, u32::MAX);
-        // The back of a wall is dark.
+        // The back of a wall reflects no light.
         if let Some(hit) = hit.filter(|hit| hit.edges[2] < 0.0) {
             let vertex = nearest_corner(wall, hit.triangle, hit.edges);
             let cosine = max(-dot(direction, wall.normals[vertex]), 0.0);

@@ -1,4 +1,4 @@
-//! Form-factor rows: what a gather point sees of the wall.
+//! Form-factor rows: gather points visible from a gather point.
 
 use super::deformed_transport::Patch;
 use super::gather_points::{GatherPoints, nearest_corner};
@@ -7,9 +7,9 @@ use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::ray;
 
-/// Rays of a row are a square of so many by so many; even.
+/// Square root of the number of rays of a row; even.
 const SIDE: usize = 12;
-/// Share of a row that one ray carries.
+/// Fraction of a row that one ray carries.
 const RAY: f32 = 1.0 / (SIDE * SIDE) as f32;
 /// Distance of ray starts from the wall, in spacings of gather points.
 const LIFT: f32 = 0.02;
@@ -19,32 +19,32 @@ const LIFT: f32 = 0.02;
 pub struct FormFactor {
     /// The other gather point.
     pub from: u32,
-    /// Fraction of the cosine-weighted hemisphere that it fills.
+    /// Fraction of the cosine-weighted hemisphere that it covers.
     pub form_factor: f32,
-    /// `Place::exchange` at rest.
+    /// `Patch::geometry` at rest.
     pub geometry: f32,
 }
 
-/// The same with the direction, for surfaces whose normal is not that of the gather point.
+/// Form factor with direction, for surfaces whose normal is not that of the gather point.
 #[derive(Clone, Copy)]
 pub struct FormFactorVector {
     /// The other gather point.
     pub from: u32,
-    /// Sum of the directions to it; its part along a normal is the share for that normal.
+    /// Sum of the directions to it; its component along a normal is that normal's form factor.
     pub direction: Vec3,
-    /// `Place::exchange` at rest.
+    /// `Patch::geometry` at rest.
     pub geometry: f32,
 }
 
-/// Form factors from a gather point to all that it sees.
+/// Form factors from a gather point to all gather points visible from it.
 pub struct FormFactorRow {
-    /// By all rays.
+    /// From all rays.
     pub fine: Box<[FormFactorVector]>,
-    /// By every fourth ray: enough for light that is reflected once more before it is seen.
+    /// From every fourth ray: sufficient for light that is reflected again before it is visible.
     pub coarse: Box<[FormFactor]>,
 }
 
-/// A ray of a row: the gather point that it meets, its number and its direction over its cosine.
+/// A ray of a row: the gather point that it hits, its index and its direction over its cosine.
 type RowRay = (u32, usize, Vec3);
 
 /// Traces the row of a gather point at rest: stratified rays, weighted by the cosine.
@@ -70,8 +70,8 @@ pub fn trace_row(wall: &Wall, gather_points: &GatherPoints, gather_point: usize)
     FormFactorRow { fine: runs().map(beam).collect(), coarse: runs().filter_map(coarse).collect() }
 }
 
-/// Whether a ray is one of every fourth: corners of blocks of two by two by turns, so that no
-/// direction is preferred.
+/// True for every fourth ray: alternating corners of 2 × 2 blocks, so that no direction is
+/// preferred.
 fn is_fourth(number: usize) -> bool {
     let (row, column) = (number / SIDE, number % SIDE);
     let (x, y) = (column / 2, row / 2);
@@ -92,7 +92,7 @@ fn look(wall: &Wall, gather_points: &GatherPoints, gather_point: usize) -> Vec<R
     let mut seen = Vec::with_capacity(SIDE * SIDE);
     for (number, direction) in lobe.directions().enumerate() {
         let hit = ray::cast::<false>(&wall.bvh, origin, direction, f32::MAX, u32::MAX);
-        // The back of a wall is dark.
+        // The back of a wall reflects no light.
         if let Some(hit) = hit.filter(|hit| hit.edges[2] < 0.0) {
             let vertex = nearest_corner(wall, hit.triangle, hit.edges);
             let weighted = scale(direction, 1.0 / dot(direction, normal));

@@ -9,46 +9,46 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
-/// Distance between gather points, as a share of the harmonic mean distance of what is seen from
-/// there (Ward et al. 1988); in a tube that mean is about its radius.
+/// Distance between gather points, as a fraction of the harmonic mean distance of the surfaces
+/// visible there (Ward et al. 1988); in a tube that mean is about its radius.
 const SPACING: f32 = 0.3;
-/// Least and most of a gather point's spacing, as shares of the median spacing.
+/// Minimum and maximum spacing of gather points, as fractions of the median spacing.
 const SPACINGS: [f32; 2] = [0.2, 1.5];
-/// Vertices next to each other in the hierarchy that share a distance.
+/// Number of vertices, consecutive in the hierarchy, that share a distance.
 const GROUP: usize = 4;
-/// Rays of each vertex from which the distance is found are a square of so many by so many.
+/// Square root of the number of rays per vertex that measure the distance.
 const SIDE: usize = 2;
 /// Interpolation radius of a gather point, in its spacings.
 const INTERPOLATION_RADIUS: f32 = 1.5;
-/// Least cosine between the normals of a vertex and of the gather point that stands for it.
+/// Minimum cosine between the normals of a vertex and of the gather point that represents it.
 const SAME_SIDE: f32 = 0.7;
-/// Cosine between normals beyond which a vertex does not interpolate from a gather point.
+/// Cosine between normals below which a vertex does not interpolate from a gather point.
 const OTHER_SIDE: f32 = 0.3;
-/// Most gather points that a vertex interpolates from.
+/// Maximum number of gather points from which a vertex interpolates.
 pub const MAX_NEIGHBORS: usize = 8;
 
 /// Points of a wall, chosen among its vertices at rest.
 pub struct GatherPoints {
-    /// Vertex of each gather point; neighbors in the hierarchy are neighbors here.
+    /// Vertex of each gather point, in the order of the hierarchy.
     pub vertex: Vec<u32>,
     /// Distance between gather points around each at rest [m].
     pub spacing: Vec<f32>,
-    /// The gather point that stands for each vertex.
+    /// Gather point that represents each vertex.
     pub of_vertex: Vec<u32>,
-    /// Gather points that each vertex interpolates from and their weights, which sum to 1; unused
-    /// ones weigh 0.
+    /// Gather points from which each vertex interpolates and their weights, which sum to 1; unused
+    /// ones have weight 0.
     pub neighbors: Vec<[(u32, f32); MAX_NEIGHBORS]>,
 }
 
 impl GatherPoints {
-    /// Chooses gather points on a wall at rest, apart by what is seen from there.
+    /// Chooses gather points on a wall at rest, with distances set by the visible surfaces.
     pub fn choose(wall: &Wall) -> Self {
         let order = in_hierarchy(wall);
         GatherPoints::of_ordered(wall, &order, &spacings(wall, &order))
     }
 
-    /// Chooses gather points on a wall at rest that are so far apart around each vertex [m], or as
-    /// far as vertices are.
+    /// Chooses gather points on a wall at rest at the given distances around each vertex [m], or at
+    /// the distances of vertices if these are larger.
     pub fn apart(wall: &Wall, spacings: &[f32]) -> Self {
         GatherPoints::of_ordered(wall, &in_hierarchy(wall), spacings)
     }
@@ -90,7 +90,7 @@ impl GatherPoints {
     }
 }
 
-/// The vertex nearest to where a ray meets a triangle, given as in `packet::Hits`.
+/// Vertex nearest to the hit of a ray on a triangle, given as in `packet::Hits`.
 #[inline(always)]
 pub fn nearest_corner(wall: &Wall, triangle: u32, edges: Vec3) -> usize {
     let [a, b, c] = wall.bvh.corners[triangle as usize];
@@ -113,7 +113,7 @@ fn in_hierarchy(wall: &Wall) -> Vec<u32> {
     wall.bvh.corners.iter().flatten().copied().filter(is_new).collect()
 }
 
-/// Distance that gather points should have around each vertex [m].
+/// Target distance of gather points around each vertex [m].
 fn spacings(wall: &Wall, order: &[u32]) -> Vec<f32> {
     let shared: Vec<f32> =
         order.par_chunks(GROUP).map(|group| SPACING * openness(wall, group)).collect();
@@ -129,8 +129,8 @@ fn spacings(wall: &Wall, order: &[u32]) -> Vec<f32> {
     found
 }
 
-/// Harmonic mean distance of what a group of vertices sees [m]; rays that meet nothing go as far as
-/// the wall is large.
+/// Harmonic mean distance of the surfaces visible from a group of vertices [m]; rays without a hit
+/// count with the extent of the wall.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -149,8 +149,8 @@ fn openness(wall: &Wall, group: &[u32]) -> f32 {
     (SIDE * SIDE * group.len()) as f32 / sum
 }
 
-/// The gather points that vertex `v` interpolates from, the heaviest first; `own` is the spacing
-/// around it.
+/// Gather points from which vertex `v` interpolates, in descending order of weight; `own` is the
+/// spacing around it.
 fn interpolation_weights(
     wall: &Wall,
     (vertex, spacing): (&[u32], &[f32]),
@@ -177,7 +177,7 @@ fn interpolation_weights(
     std::array::from_fn(|k| found.get(k).map_or((0, 0.0), |h| (h.0, h.1 / sum)))
 }
 
-/// Gather points by the cells of space they lie in.
+/// Gather points sorted into cells of space.
 struct Grid {
     edge: f32,
     cells: HashMap<u64, Vec<u32>, BuildHasherDefault<CellHasher>>,
@@ -196,7 +196,7 @@ impl Grid {
         self.cells.entry(pack(self.cell(place))).or_default().push(gather_point);
     }
 
-    /// Visits all gather points nearer than an edge, and some farther.
+    /// Visits all gather points within an edge length, and some beyond.
     fn near(&self, place: Vec3, mut visit: impl FnMut(u32)) {
         let [x, y, z] = self.cell(place);
         for k in 0..27 {

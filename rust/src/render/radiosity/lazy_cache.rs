@@ -1,28 +1,28 @@
-//! Lazy cache of light at gather points and vertices, in memory kept between frames.
+//! Lazy cache of light at gather points and vertices, in memory reused between frames.
 
 use std::cell::UnsafeCell;
 use std::ops::Deref;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// Irradiance of red, green, blue, and all of them together; how the latter grows as the normal
-/// tilts along x, y and z, the tangential part of the light vector [W/m²]. The last is 0.
+/// Irradiance of red, green, blue, and their sum; the change of the sum as the normal tilts along
+/// x, y and z, the tangential part of the light vector [W/m²]. The last value is 0.
 pub type Light = [f32; 8];
 
-/// Light of one place; known if its number is that of the frame.
+/// Light at one point; known if its stage is that of the frame.
 ///
-/// Threads that need it at once all compute it; their results are the same, and one of them keeps
-/// its own.
+/// Threads that need it at the same time all compute it; their results are identical, and one of
+/// them is stored.
 struct Slot<T> {
-    /// Twice the number of the frame while it is written, and one more from then on.
+    /// Twice the index of the frame while it is written, and one more afterwards.
     stage: AtomicU32,
     light: UnsafeCell<T>,
 }
 
 // SAFETY: `light` is written only by the one thread whose exchange of `stage` succeeds in a frame,
-// before it announces that with release order, and read only after the announcement is seen with
-// acquire order. Between frames the slots are borrowed by nobody. A lock for each gather point and
-// vertex would cost more than all else that is done with them.
+// before it publishes that with release order, and read only after the publication is observed with
+// acquire order. Between frames nobody borrows the slots. A lock for each gather point and vertex
+// would cost more than the computation itself.
 unsafe impl<T: Copy + Send + Sync> Sync for Slot<T> {}
 
 impl<T: Copy + Default> Slot<T> {
@@ -54,16 +54,16 @@ impl<T: Copy + Default> Slot<T> {
     }
 }
 
-/// Room for the light of one frame.
+/// Slots for the light of one frame.
 pub struct Slots<T> {
     frame: u32,
     gather_points: Box<[Slot<T>]>,
     vertices: Box<[Slot<T>]>,
 }
 
-/// Rooms that no frame uses now.
+/// Slots that no frame uses now.
 ///
-/// Nobody waits for the lock: a forked process may have a copy that is locked forever.
+/// No thread waits for the lock: a forked process may inherit a copy that is locked forever.
 pub struct CachePool<T = Light> {
     /// Numbers of gather points and vertices.
     counts: (usize, usize),
@@ -71,12 +71,12 @@ pub struct CachePool<T = Light> {
 }
 
 impl<T: Copy + Default> CachePool<T> {
-    /// None yet, for so many gather points and vertices.
+    /// Empty pool for the given numbers of gather points and vertices.
     pub fn new(counts: (usize, usize)) -> Self {
         CachePool { counts, free: Mutex::new(Vec::new()) }
     }
 
-    /// Room in which nothing is known.
+    /// Returns slots in which no light is known.
     pub fn lend(&self) -> FrameCache<'_, T> {
         let kept = self.free.try_lock().ok().and_then(|mut free| free.pop());
         let slots = |count: usize| (0..count).map(|_| Slot::new()).collect();
@@ -92,7 +92,7 @@ impl<T: Copy + Default> CachePool<T> {
     }
 }
 
-/// The light of one frame; its room goes back when it is dropped.
+/// Light of one frame; returns its slots to the pool when dropped.
 pub struct FrameCache<'a, T = Light> {
     pool: &'a CachePool<T>,
     slots: Option<Slots<T>>,
@@ -122,7 +122,7 @@ impl<T: Copy + Default> Slots<T> {
         self.gather_points[gather_point].known(self.frame)
     }
 
-    /// Keeps the light at a gather point.
+    /// Stores the light at a gather point.
     #[inline(always)]
     pub fn keep_gather_point(&self, gather_point: usize, light: &T) {
         self.gather_points[gather_point].keep(self.frame, light);
@@ -134,7 +134,7 @@ impl<T: Copy + Default> Slots<T> {
         self.vertices[vertex].known(self.frame)
     }
 
-    /// Keeps the light at a vertex.
+    /// Stores the light at a vertex.
     #[inline(always)]
     pub fn keep_vertex(&self, vertex: usize, light: &T) {
         self.vertices[vertex].keep(self.frame, light);

@@ -1,12 +1,12 @@
 //! Radiosity: indirect light between gather points of the wall, in real time (Goral et al. 1984).
 //!
-//! Gather points lie about a seventh of the lumen's width apart. Their form factors are traced
+//! Gather points are about a seventh of the lumen's width apart. Their form factors are traced
 //! once, at rest. In each frame the LEDs light the gather points near the camera, the radiosity is
-//! solved, and each vertex interpolates the gather points around it. A pixel has its irradiance
-//! from the corners of its face. Gloss reflects indirect light as if it were diffuse.
+//! solved, and each vertex interpolates the gather points around it. A pixel interpolates its
+//! irradiance from the corners of its face. Gloss reflects indirect light as if it were diffuse.
 //!
-//! Nothing depends on earlier frames: form factors are traced when first needed, from the wall at
-//! rest, and adapted in each frame to the wall as it is.
+//! Results do not depend on earlier frames: form factors are traced on first use, from the wall at
+//! rest, and adapted in each frame to the current wall.
 
 mod deformed_transport;
 mod direct_light;
@@ -35,30 +35,30 @@ use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use pyo3::prelude::*;
 
-/// A color with a fourth number, so that it is one vector.
+/// A color padded to four components for vectorization.
 type Color = [f32; 4];
 
-/// Indirect light of a wall: gather points, what they reflect and what they see of each other.
+/// Indirect light of a wall: gather points, their reflectance and their form factors.
 #[pyclass(frozen, module = "vrcaps._core")]
 pub struct Radiosity {
     rest: Py<Wall>,
     gather_points: GatherPoints,
-    /// Mean base color of what each gather point stands for.
+    /// Mean base color of the region that each gather point represents.
     albedo: Vec<Vec3>,
-    /// One over the area of the wall that each gather point stands for at rest [1/m²].
+    /// One over the area of the wall that each gather point represents at rest [1/m²].
     per_area: Vec<f32>,
     reflectance: Reflectance,
-    /// Threads that need a row at once all trace it, to the same bytes; none waits for another,
-    /// which a forked process may not have.
+    /// Threads that need a row at the same time all trace it, with identical results; none waits
+    /// for another, which may not exist in a forked process.
     rows: Vec<OnceBox<FormFactorRow>>,
     cache: CachePool,
-    /// Light through the tissue behind the wall, if it goes there.
+    /// Light through the tissue behind the wall, if enabled.
     tissue: Option<Transport>,
 }
 
 #[pymethods]
 impl Radiosity {
-    /// Takes a wall at rest, which must not be moved afterwards, and what is drawn on it.
+    /// Takes a wall at rest, which must not be moved afterwards, and its scene data.
     #[new]
     fn new(py: Python<'_>, rest: Py<Wall>, scene: &Scene) -> PyResult<Self> {
         let wall = rest.try_borrow(py)?;
@@ -102,7 +102,7 @@ impl Radiosity {
             .get_or_init(|| Box::new(trace_row(rest, &self.gather_points, gather_point)))
     }
 
-    /// Light reflected by a gather point on a wall of this shape, relative to that on a level wall.
+    /// Light reflected by a gather point on a wall of this shape, relative to that on a flat wall.
     fn kept(&self, rest: &Wall, gather_point: usize) -> Vec3 {
         let Some(tissue) = &self.tissue else { return [1.0; 3] };
         let kept = tissue.kept(rest, self.gather_points.vertex[gather_point] as usize);
@@ -113,8 +113,8 @@ impl Radiosity {
         })
     }
 
-    /// Share of red, green and blue light that a gather point reflects, where its base and its
-    /// gloss reflect so much for an albedo of 1.
+    /// Fraction of red, green and blue light that a gather point reflects, given the reflectances
+    /// of base and gloss for an albedo of 1.
     #[inline(always)]
     fn reflected(&self, gather_point: usize, [base, gloss]: [f32; 2]) -> Vec3 {
         self.albedo[gather_point].map(|albedo| base * albedo + gloss)

@@ -5,17 +5,17 @@ use crate::render::scene::SceneData;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 
-/// Means over faces, which count by their size.
+/// Means over faces, weighted by area.
 pub struct PatchAlbedo {
     /// Base color around each gather point.
     pub albedo: Vec<Vec3>,
-    /// One over the area that each gather point stands for [1/m²].
+    /// One over the area that each gather point represents [1/m²].
     pub per_area: Vec<f32>,
     /// Roughness of the wall.
     pub roughness: f32,
 }
 
-/// A tile's worth of faces.
+/// Faces of one tile.
 struct Faces {
     albedo: Lane3,
     roughness: Lane,
@@ -24,7 +24,7 @@ struct Faces {
 }
 
 impl PatchAlbedo {
-    /// Averages what is drawn on a wall.
+    /// Averages the scene data of a wall.
     pub fn mean(wall: &Wall, scene: &SceneData, gather_points: &GatherPoints) -> Self {
         let mut sums = vec![([0.0f32; 3], 0.0f32); gather_points.vertex.len()];
         let (mut roughness, mut total) = (0.0f64, 0.0f64);
@@ -48,7 +48,7 @@ impl PatchAlbedo {
 }
 
 impl Faces {
-    /// Faces in the order of the hierarchy, from number `first` on.
+    /// Faces in the order of the hierarchy, starting at index `first`.
     fn fetch(wall: &Wall, scene: &SceneData, first: usize) -> Self {
         let zero = [0.0; LANES];
         let (mut uv, mut footprint) = ([zero; 2], [zero; 2]);

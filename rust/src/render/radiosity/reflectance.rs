@@ -1,27 +1,27 @@
-//! Directional reflectance of the wall by the angle of incidence or exitance.
+//! Directional reflectance of the wall as a function of the angle of incidence or exitance.
 
 use crate::render::led::Led;
 use crate::render::material::{Material, Surface, add_light};
 use crate::simd::f32x64::*;
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
-/// Directions at which the share is computed; between them it is smooth.
+/// Number of directions at which the reflectance is computed; it is smooth in between.
 const NODES: usize = 5;
-/// Steps of the mean over directions.
+/// Number of steps of the mean over directions.
 const STEPS: usize = 64;
-/// Rings around the mirrored direction over which is integrated.
+/// Number of rings around the mirror direction in the integral.
 const RINGS: usize = 96;
 /// Angle between half vector and normal of the innermost ring [rad].
 const FIRST_RING: f32 = 1e-4;
 
-/// Share of light from one direction that goes anywhere, or of diffuse light from everywhere that
-/// goes to one direction (they are the same by reciprocity), over the cosine of that direction.
+/// Fraction of light from one direction that is reflected, or of diffuse light that is reflected in
+/// one direction (equal by reciprocity), as a function of the cosine of that direction.
 pub struct Reflectance {
-    /// Of the diffuse base for an albedo of 1.
+    /// Reflectance of the diffuse base for an albedo of 1.
     base: Quartic,
-    /// Of what is not colored by the base: specular lobe and clearcoat.
+    /// Reflectance that the base does not color: specular lobe and clearcoat.
     gloss: Quartic,
-    /// Of both for diffuse light from everywhere, to everywhere.
+    /// Reflectance of both for diffuse light, over all directions.
     pub mean: [f32; 2],
 }
 
@@ -52,7 +52,7 @@ impl Quartic {
         value
     }
 
-    /// Mean over diffuse light: weighted by the cosine.
+    /// Mean over diffuse light, weighted by the cosine.
     fn mean(&self) -> f32 {
         let part = |k: usize| {
             let cosine = (k as f32 + 0.5) / STEPS as f32;
@@ -63,9 +63,9 @@ impl Quartic {
 }
 
 impl Reflectance {
-    /// Integrates the wall's reflection over all directions of light.
+    /// Integrates the wall's reflection over all incident directions.
     pub fn integrate(material: &Material, roughness: f32) -> Self {
-        // Chebyshev's nodes.
+        // Chebyshev nodes.
         let nodes: [f32; NODES] = std::array::from_fn(|k| {
             0.5 - 0.5 * ((2 * k + 1) as f32 * PI / (2 * NODES) as f32).cos()
         });
@@ -76,13 +76,13 @@ impl Reflectance {
         Reflectance { base, gloss, mean }
     }
 
-    /// Replaces the share of the base, for an albedo of 1, by a function of the cosine.
+    /// Replaces the reflectance of the base, for an albedo of 1, by a function of the cosine.
     pub fn set_base(&mut self, albedo: impl Fn(f32) -> f32) {
         self.base = Quartic::through(self.base.nodes, self.base.nodes.map(|x| albedo(1.0 - x)));
         self.mean[0] = self.base.mean();
     }
 
-    /// Base and gloss at a cosine of 0 to 1.
+    /// Reflectance of base and gloss at a cosine of 0 to 1.
     #[inline(always)]
     pub fn at(&self, cosine: f32) -> [f32; 2] {
         let x = clamp(1.0 - cosine, 0.0, 1.0);
@@ -91,10 +91,10 @@ impl Reflectance {
 }
 
 /// Radiance towards a cosine under uniform light of radiance 1: of a black base, and of a white
-/// one.
+/// base.
 ///
-/// Half vectors on rings whose angle grows by the same factor find the narrow lobe of the
-/// clearcoat. An element of half vectors is an element of light of 4 (v·h) times its size.
+/// Half vectors on rings whose angle grows by a constant factor resolve the narrow lobe of the
+/// clearcoat. An element of light directions is 4 (v·h) times the element of half vectors.
 fn albedo(material: &Material, roughness: f32, cosine: f32) -> [f32; 2] {
     let view = [(1.0 - cosine * cosine).sqrt(), 0.0, cosine];
     let led = Led {
@@ -143,7 +143,7 @@ fn albedo(material: &Material, roughness: f32, cosine: f32) -> [f32; 2] {
 mod tests {
     use super::*;
 
-    /// Shares over the cosine of a wet wall, by another program.
+    /// Reflectances of a wet wall by cosine, from another program.
     const EXACT: [[f32; 3]; 4] =
         [[0.125, 1.106, 0.089], [0.375, 1.039, 0.063], [0.625, 1.014, 0.047], [1.0, 1.018, 0.055]];
 

@@ -16,12 +16,12 @@ use rayon::prelude::*;
 use std::f32::consts::PI;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Most of the light along the smooth normal that relief gets: where hardly any comes along that,
-/// what comes aside is all but noise.
+/// Maximum of the light on relief over that along the smooth normal: where the latter is tiny, the
+/// tangential light is mostly noise.
 const MAX_RELIEF_GAIN: f32 = 4.0;
-/// Gather points from the one whose light is computed to the one whose row is fetched.
+/// Distance in gather points between the computed one and the prefetched row.
 const AHEAD: usize = 4;
-/// Gather points that one thread takes at a time.
+/// Number of gather points that one thread takes at a time.
 const CHUNK: usize = 32;
 
 /// Irradiance by indirect light in one frame.
@@ -33,14 +33,14 @@ pub struct Irradiance<'a> {
     deformed: Option<DeformedTransport<'a>>,
     /// Radiosity of each gather point [W/m²].
     radiosity: Vec<Color>,
-    /// Light at each gather point and vertex, gathered when first needed.
+    /// Light at each gather point and vertex, computed on first use.
     known: FrameCache<'a>,
-    /// Light through the tissue behind the wall, if it goes there.
+    /// Light through the tissue behind the wall, if enabled.
     subsurface_frame: Option<SubsurfaceFrame<'a>>,
 }
 
 impl Radiosity {
-    /// Irradiance by indirect light; LEDs cast shadows or not.
+    /// Solves for the irradiance by indirect light, with or without shadows of the LEDs.
     pub fn solve<'a>(
         &'a self,
         rest: &'a Wall,
@@ -83,8 +83,7 @@ impl Radiosity {
         }
     }
 
-    /// Fraction of its reflected light that each gather point keeps; `last` is reduced by
-    /// that.
+    /// Fraction of its reflected light that each gather point keeps; `last` is multiplied by it.
     fn shape_factors(&self, rest: &Wall, gather_points: &[u32], last: &mut [Color]) -> Vec<Vec3> {
         let of_site = |&s: &u32| self.kept(rest, s as usize);
         let kept: Vec<Vec3> = gather_points.par_iter().with_min_len(CHUNK).map(of_site).collect();
@@ -95,7 +94,7 @@ impl Radiosity {
         kept
     }
 
-    /// Gather points that are lit or see one that is, in order.
+    /// Gather points that are lit or have a form factor to one that is, in order.
     fn active(&self, rest: &Wall, radiosity: &[Color]) -> Vec<u32> {
         let is_reached: Vec<AtomicBool> =
             radiosity.iter().map(|_| AtomicBool::new(false)).collect();
@@ -112,7 +111,7 @@ impl Radiosity {
         all.zip(0..).filter_map(|(is_reached, s)| is_reached.then_some(s)).collect()
     }
 
-    /// Coarse rows of gather points on the wall as it has moved.
+    /// Coarse rows of gather points on the current wall.
     fn deformed_rows(
         &self,
         rest: &Wall,
@@ -132,7 +131,7 @@ impl Radiosity {
         gather_points.par_iter().with_min_len(CHUNK).map(bend).collect()
     }
 
-    /// Radiosity of gather points, given their rows, by what leaves all others.
+    /// Radiosity of gather points, given their rows and the radiosity of all others.
     fn reflect<'a>(
         &self,
         (gather_points, kept): (&[u32], &[Vec3]),
@@ -155,17 +154,17 @@ impl Radiosity {
     }
 }
 
-/// Brings a row near the processor, which does not foresee by itself where the next ones are.
+/// Prefetches a row, because the processor cannot predict the address of the next one.
 fn fetch(row: Option<&[FormFactor]>) {
     std::hint::black_box(row.and_then(|row| row.first().copied()));
 }
 
-/// Light of all gather points together.
+/// Sum of the light of all gather points.
 fn total(light: &[Color]) -> Vec3 {
     light.iter().fold([0.0; 3], |sum, c| add(sum, [c[0], c[1], c[2]]))
 }
 
-/// Sum of a geometric series from its last known term on, relative to that term.
+/// Sum of a geometric series from its last known term onwards, relative to that term.
 fn series_factor(term: Vec3, before: Vec3) -> Vec3 {
     [0, 1, 2].map(|k| 1.0 / (1.0 - clamp(term[k] / max(before[k], 1e-30), 0.0, 0.95)))
 }
@@ -188,10 +187,10 @@ impl Irradiance<'_> {
     }
 
     /// Adds the radiance that indirect light leaves towards the viewer [W/(sr·m²)]; `smooth` are
-    /// the wall's normals without relief, `beneath` is what tissue makes of it.
+    /// the wall's normals without relief, `beneath` is the subsurface light.
     ///
-    /// Relief that tilts by τ looks into the wall with a part of its hemisphere: of diffuse light
-    /// it gets (1 + cos τ)/2. Colors are taken to come from the same directions.
+    /// Relief that tilts by τ turns a part of its hemisphere into the wall: of diffuse light it
+    /// receives (1 + cos τ)/2. All colors are assumed to come from the same directions.
     #[inline(always)]
     pub fn add(
         &self,
@@ -219,7 +218,7 @@ impl Irradiance<'_> {
             (first_weight[i], second_weight[i]) =
                 (hits.edges[0][i] * inverse, hits.edges[1][i] * inverse);
         }
-        // A tile sees few triangles: each in turn, for all lanes at once.
+        // A tile shows few triangles, so the loop takes each in turn for all lanes.
         let triangles = &hits.triangle;
         let mut lights = [[0.0; LANES]; 7];
         let mut is_done = triangles.map(|triangle| triangle == MISS);
@@ -306,8 +305,8 @@ impl Irradiance<'_> {
         light
     }
 
-    /// Red, green and blue light vectors by what leaves the gather points of a row, whose shares
-    /// are multiplied by factors.
+    /// Red, green and blue light vectors from the radiosity of the gather points of a row, whose
+    /// form factors are multiplied by the given factors.
     #[inline(always)]
     fn gather<'b>(&self, row: impl Iterator<Item = (&'b FormFactorVector, f32)>) -> [Vec3; 3] {
         let mut sum = [[0.0f32; 4]; 3];
@@ -324,7 +323,7 @@ impl Irradiance<'_> {
     }
 }
 
-/// Irradiance of a triangle's third corner, after the excess of the first two.
+/// Irradiance of a triangle's third corner, after the differences of the first two from it.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",

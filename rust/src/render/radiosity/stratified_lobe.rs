@@ -1,12 +1,12 @@
-//! Directions that share the power of a lobe evenly.
+//! Stratified directions of equal power in a lobe.
 
 use crate::simd::f32x64::*;
 use std::f32::consts::TAU;
 
 /// Directions about an axis, one in each of side² cells of equal power of a lobe cosᵐ.
 ///
-/// Exponent 1 is what reaches or leaves a matt surface (Malley's method); 0 is a whole sphere, as
-/// for an LED. Cells lie in rings and columns.
+/// Exponent 1 is the light that reaches or leaves a diffuse surface (Malley's method); 0 is a whole
+/// sphere, as for an LED. Cells lie in rings and columns.
 pub struct Lobe {
     frame: [Vec3; 3],
     exponent: f32,
@@ -24,36 +24,36 @@ impl Lobe {
         Lobe { frame: [right, cross(axis, right), axis], exponent, side, shift: [0.5; 2] }
     }
 
-    /// Number `k` of many lobes about nearly the same axis: turned, so that their errors differ.
+    /// Lobe `k` of many about similar axes, rotated so that their errors differ.
     #[inline(always)]
     pub fn turned(axis: Vec3, exponent: f32, side: usize, k: usize) -> Self {
         let turn = side as f32 * ((k % 1024) as f32 * 0.618_034).fract();
         Lobe { shift: [0.5, turn], ..Lobe::new(axis, exponent, side) }
     }
 
-    /// Number `k` of a few lobes that are to fill each other's gaps, by Roberts' sequence R2.
+    /// Lobe `k` of a few that fill each other's gaps, by Roberts' sequence R2.
     #[inline(always)]
     pub fn shifted(axis: Vec3, exponent: f32, side: usize, k: usize) -> Self {
         let shift = [0.754_877_7, 0.569_840_3].map(|step| (0.5 + k as f32 * step).fract());
         Lobe { shift, ..Lobe::new(axis, exponent, side) }
     }
 
-    /// Unit direction in the middle of a cell.
+    /// Unit direction in the center of a cell.
     #[inline(always)]
     pub fn direction(&self, ring: usize, column: usize) -> Vec3 {
         let inside = (ring as f32 + self.shift[0]) / self.side as f32;
         self.towards(inside, (column as f32 + self.shift[1]) / self.side as f32)
     }
 
-    /// Unit direction number `k` of as many as there are cells, on a spiral (Vogel 1979): its
-    /// neighbors are as near in all directions.
+    /// Unit direction `k` of as many as there are cells, on a spiral (Vogel 1979): its neighbors
+    /// are at similar distances in all directions.
     #[inline(always)]
     pub fn on_spiral(&self, k: usize) -> Vec3 {
         let inside = (k as f32 + self.shift[0]) / self.count() as f32;
         self.towards(inside, self.turns(k))
     }
 
-    /// Turns around the axis of direction number `k` of the spiral, below 1.
+    /// Turns around the axis of direction `k` of the spiral, below 1.
     #[inline(always)]
     pub fn turns(&self, k: usize) -> f32 {
         (k as f32 * 0.618_034 + self.shift[1]).fract()
@@ -65,12 +65,12 @@ impl Lobe {
         self.side * self.side
     }
 
-    /// Unit direction on a cone that has a share of the power inside, so many turns around the
-    /// axis.
+    /// Unit direction on a cone that contains a fraction `inside` of the power, at `turns` turns
+    /// around the axis.
     #[inline(always)]
     fn towards(&self, inside: f32, turns: f32) -> Vec3 {
         let [right, down, axis] = self.frame;
-        // cosᵐ has the share 1 − cosᵐ⁺¹ of its power inside a cone.
+        // cosᵐ has the fraction 1 − cosᵐ⁺¹ of its power inside a cone.
         let up = match self.exponent {
             0.0 => 1.0 - 2.0 * inside,
             1.0 => (1.0 - inside).sqrt(),

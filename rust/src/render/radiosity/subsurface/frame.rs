@@ -1,4 +1,4 @@
-//! One frame of light through tissue.
+//! Light through tissue in one frame.
 
 use super::Transport;
 use crate::render::led::Led;
@@ -13,32 +13,32 @@ use crate::wall::visibility::SHADOW_REACH;
 use glam::Vec4;
 use std::f32::consts::PI;
 
-/// For red, green and blue at a place: the share that comes out of light on the place itself, and
-/// what comes out of light elsewhere [W/m²].
+/// For red, green and blue at a point: the fraction of light on the point itself that exits, and
+/// the exiting light that entered elsewhere [W/m²].
 type Leaving = [Vec4; 2];
 
-/// The same, and all that comes out of light at the place and elsewhere; or irradiance alone.
+/// `Leaving` and the sum of all exiting light; or irradiance alone.
 pub type Lit = [Vec4; 3];
 
-/// A face that a tile sees.
+/// A face visible in a tile.
 #[derive(Clone, Copy)]
 struct Face {
     /// In leaf order; `MISS` for none.
     triangle: u32,
-    /// Radiosity of its third corner, and the excess of the first two.
+    /// Radiosity of its third corner, and the differences of the first two from it.
     radiosity: [Leaving; 3],
-    /// All that leaves by LEDs and indirect light, in the same way [W/m²].
+    /// All light of LEDs and indirect light that exits, in the same form [W/m²].
     all: [Vec4; 3],
-    /// Its gradient along x, y and z [W/m³].
+    /// Gradient of `all` along x, y and z [W/m³].
     slope: [Vec4; 3],
     /// Unit normal.
     normal: Vec3,
-    /// `Tissue::drift` [m] and `Tissue::slope` of what is drawn around it.
+    /// `Tissue::drift` [m] and `Tissue::slope` for the colors around it.
     drift: Vec4,
     tilt: Vec4,
 }
 
-/// Faces that a tile keeps at hand.
+/// Number of faces that a tile caches.
 const AT_HAND: usize = 8;
 
 /// Light through the tissue in one frame.
@@ -54,16 +54,16 @@ pub struct SubsurfaceFrame<'a> {
 
 /// Subsurface light of a tile's surfaces.
 pub struct SubsurfaceLight {
-    /// Radiance towards the viewer over π and that of a white matt surface, by light on the place.
+    /// Radiance towards the viewer over π and that of white diffuse, by light on the point.
     weight: Lane3,
-    /// Radiance towards the viewer of light that fell elsewhere [W/(sr·m²)].
+    /// Radiance towards the viewer of light that entered elsewhere [W/(sr·m²)].
     through: Lane3,
     border: (f32, f32),
     is_wall: [bool; LANES],
 }
 
 impl Transport {
-    /// Light in one frame, on the wall as it is.
+    /// Prepares one frame on the current wall.
     pub fn frame<'a>(
         &'a self,
         rest: &'a Wall,
@@ -77,7 +77,7 @@ impl Transport {
 }
 
 impl SubsurfaceFrame<'_> {
-    /// Subsurface light at surfaces; `indirect` is a vertex's irradiance without that of the LEDs.
+    /// Subsurface light at surfaces; `indirect` is a vertex's irradiance without the LEDs.
     #[inline(always)]
     pub fn subsurface(
         &self,
@@ -183,7 +183,7 @@ impl SubsurfaceFrame<'_> {
         radiosity
     }
 
-    /// Irradiance of a node, by what the interface lets pass of it [W/m²].
+    /// Irradiance of a node after transmission by the interface [W/m²].
     fn falling(&self, node: usize, indirect: &impl Fn(usize) -> Vec4) -> Vec4 {
         if let Some(light) = self.known.gather_point(node) {
             return light[0];
@@ -195,7 +195,7 @@ impl SubsurfaceFrame<'_> {
         all
     }
 
-    /// The part of it at a vertex that comes from an LED, as `add_leaving` has it.
+    /// Irradiance of a vertex from an LED, as in `add_leaving`.
     fn direct(&self, vertex: usize, led: &Led) -> Vec4 {
         let offset = sub(led.position, self.wall.vertices[vertex]);
         let square = max(dot(offset, offset), 1e-12);
@@ -217,7 +217,7 @@ impl SubsurfaceFrame<'_> {
         Vec4::new(r, g, b, 0.0)
     }
 
-    /// Whether the way from an LED to a place `distance` [m] against `light` is free.
+    /// True if the segment from an LED to a point at `distance` [m] against `light` is unoccluded.
     fn is_lit(&self, origin: Vec3, light: Vec3, distance: f32) -> bool {
         let reach = distance * SHADOW_REACH;
         ray::cast::<true>(&self.wall.bvh, origin, scale(light, -1.0), reach, MISS).is_none()
@@ -238,8 +238,8 @@ impl Face {
         }
     }
 
-    /// Exiting light at a point, given by the weights of two corners, of light that starts along
-    /// a direction, relative to that of light from all directions.
+    /// Exiting light, at a point given by the weights of two corners, that starts along a
+    /// direction, relative to light from all directions.
     #[inline(always)]
     fn drifted(&self, [wa, wb]: [f32; 2], direction: Vec3) -> Vec4 {
         let [first, second, third] = self.all;
@@ -252,14 +252,14 @@ impl Face {
 }
 
 impl SubsurfaceLight {
-    /// Share of light on the place that pixel `i` gets in color `k` by way of the base, and
-    /// radiance by light that fell elsewhere; of the base itself where there is no wall.
+    /// Fraction of light on the point that pixel `i` receives in color `k` through the base, and
+    /// radiance of light that entered elsewhere; that of the base itself if there is no wall.
     #[inline(always)]
     pub fn of(&self, base: f32, k: usize, i: usize) -> (f32, f32) {
         if self.is_wall[i] { (self.weight[k][i], self.through[k][i]) } else { (base, 0.0) }
     }
 
-    /// Adds the radiance that an LED's light on the place itself leaves towards the viewer.
+    /// Adds the radiance that an LED's light on the point itself leaves towards the viewer.
     #[inline(always)]
     pub fn add(&self, surface: &Surface, led: &Led, visible: &Lane, radiance: &mut Lane3) {
         let mut light = [[0.0; LANES]; 3];

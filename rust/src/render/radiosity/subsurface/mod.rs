@@ -2,8 +2,8 @@
 //!
 //! Light that leaves a point of the wall has entered around it. Random walks from that point, as in
 //! path tracing, sample the entries: by reciprocity light takes the same paths back. They are
-//! traced once, at rest, from *nodes*, vertices no closer than a free path. In each frame LEDs and
-//! indirect light fall on the nodes that are needed, and each seen vertex takes their shares.
+//! traced once, at rest, from *nodes*, vertices at least a free path apart. In each frame LEDs and
+//! indirect light illuminate the nodes that are needed, and each visible vertex gathers from them.
 
 mod frame;
 mod transport_row;
@@ -20,25 +20,25 @@ use crate::render::scene::SceneData;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 
-/// Least distance between nodes, over the longest free path between two scatterings.
+/// Minimum distance between nodes, over the longest free path between two scatterings.
 const SPACING: f32 = 0.8;
-/// Weight of a neighbor in what comes out at a node, if it faces the same way.
+/// Weight of a neighbor in the mean of a node's exiting light, if its normal is the same.
 const NEIGHBOR: f32 = 0.5;
 
 /// Transport of light from its entry into the wall to its exit.
 pub struct Transport {
     tissue: Tissue,
     nodes: GatherPoints,
-    /// Mean base color of what each node stands for.
+    /// Mean base color of the region that each node represents.
     color: Vec<Vec3>,
     rows: Vec<OnceBox<Row>>,
-    /// Ratio of the exiting light to that of a node's own row, which is noisy.
+    /// Ratio of the smoothed exiting light to that of a node's own row, which is noisy.
     better: Vec<OnceBox<Vec3>>,
     cache: CachePool<frame::Lit>,
 }
 
 impl Transport {
-    /// Prepares for the tissue behind a wall at rest.
+    /// Prepares the transport in the tissue behind a wall at rest.
     pub fn new(wall: &Wall, scene: &SceneData, tissue: &Tissue) -> Self {
         let [r, g, b] = tissue.scattering;
         let spacing = SPACING / min(r, min(g, b));
@@ -50,20 +50,20 @@ impl Transport {
         Transport { tissue: tissue.clone(), nodes, color, rows, better, cache }
     }
 
-    /// Transmittance of the interface at this cosine, relative to the mean of diffuse light.
+    /// Transmittance of the interface at this cosine, relative to the mean over diffuse light.
     pub fn transmittance(&self, cosine: f32) -> f32 {
         self.tissue.transmittance(cosine)
     }
 
-    /// Light that a vertex gives back under diffuse light, over what a level wall would.
+    /// Light that a vertex returns under diffuse light, relative to a flat wall.
     pub fn kept(&self, rest: &Wall, vertex: usize) -> Vec3 {
         let node = self.nodes.of_vertex[vertex] as usize;
         let (total, better) = (self.row(rest, node).total(), self.better(rest, node));
         [0, 1, 2].map(|k| total[k] * better[k])
     }
 
-    /// Factor of a row that makes it sum to a mean over the nodes around it: noise of walks is that
-    /// of each, what the wall's shape does is not.
+    /// Factor on a row that makes it sum to a mean over the neighboring nodes: the noise of their
+    /// walks is independent, the effect of the wall's shape is not.
     fn better(&self, rest: &Wall, node: usize) -> Vec3 {
         *self.better[node].get_or_init(|| {
             let own = self.row(rest, node).total();

@@ -1,4 +1,4 @@
-//! Rows of light transport through tissue: where light that comes out at a node has entered.
+//! Rows of light transport through tissue: entry points of the light that exits at a node.
 
 use super::GatherPoints;
 use crate::render::path::bsdf::cosine_direction;
@@ -11,14 +11,14 @@ use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::packet::MISS;
 
-/// Walks of a row: where faces are wide, and where they are not and a vertex hears several nodes.
+/// Walks of a row: for wide faces, and for small ones, where a vertex averages several nodes.
 const WALKS: [u32; 2] = [128, 64];
-/// Light that has entered nearer than so many free paths, or edges of faces if they are longer, has
-/// fallen on the place itself.
+/// Distance in free paths, or in edges of faces if these are longer, within which entering light
+/// counts as light on the point itself.
 const NEAR: f32 = 0.5;
-/// Walks set out from faces around a node, so far from it at most as a share of their height.
+/// Maximum distance from a node at which walks start on its faces, as a fraction of their height.
 const STAR: f32 = 0.5;
-/// Base colors below this are taken for those of a interface that lets nothing out again.
+/// Base color below which the interface transmits no light out again.
 const BLACK: f32 = 1e-3;
 
 /// Dimensions of a row's random numbers.
@@ -32,21 +32,21 @@ const END: u32 = 4;
 pub struct Link {
     /// The other node.
     pub from: u32,
-    /// Share of red, green and blue, as in `Row`.
+    /// Fraction of red, green and blue, as in `Row`.
     pub weight: Vec3,
 }
 
-/// Shares of irradiance that come out at a node, over what a level wall gives back of diffuse
-/// light.
+/// Fractions of irradiance that exit at a node, relative to the diffuse light that a flat wall
+/// returns.
 pub struct Row {
-    /// Of light that has fallen on the node itself.
+    /// Fraction of light on the node itself.
     pub near: Vec3,
-    /// Of light on others.
+    /// Fractions of light on other nodes.
     pub far: Box<[Link]>,
 }
 
 impl Row {
-    /// All of diffuse light.
+    /// Sum of all fractions, for diffuse light.
     pub fn total(&self) -> Vec3 {
         self.far.iter().fold(self.near, |sum, link| add(sum, link.weight))
     }
@@ -66,15 +66,15 @@ struct Start {
 struct Sum {
     near: Vec3,
     far: Vec<Link>,
-    /// Of walks on the wall, less that of the same walks on a level.
+    /// Sum of walks on the wall, minus that of the same walks on a plane.
     more: Vec3,
 }
 
 /// Traces the row of a node at rest, with the mean base color around it.
 ///
-/// A level wall gives back the base color, exactly. Each walk is also made, with the same random
-/// numbers, behind the level of the face where it starts: the difference between the two is what
-/// the shape of the wall does, with far less noise than the walks themselves (control variates).
+/// A flat wall returns exactly the base color. Each walk is also made, with the same random
+/// numbers, behind the plane of the face where it starts: the difference between the two is the
+/// effect of the wall's shape, with far less noise than the walks themselves (control variates).
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -115,7 +115,7 @@ pub fn trace_row(
 }
 
 impl Start {
-    /// A place near a vertex, and a direction into the tissue as diffuse light takes it.
+    /// Samples a point near a vertex, and a direction into the tissue as of diffuse light.
     fn draw(wall: &Wall, tissue: &Tissue, vertex: usize, (key, number): (u32, u32)) -> Self {
         let [first, second] = point(dimension(key, FACE), number);
         let [third, fourth] = point(dimension(key, CORNER), number);
@@ -134,7 +134,7 @@ impl Start {
                 break;
             }
         }
-        // As much of each face as the vertex weighs there: Dirichlet's (2, 1, 1), drawn towards it.
+        // Samples each face by the vertex's weight: Dirichlet's (2, 1, 1), contracted towards it.
         let mut cuts = [second, third, fourth];
         cuts.sort_unstable_by(f32::total_cmp);
         let [a, b, c, normal] = chosen;
@@ -147,7 +147,7 @@ impl Start {
         Start { place, face_normal, direction, passes: tissue.transmittance(cosine) }
     }
 
-    /// Walks behind a interface until light comes out.
+    /// Walks behind an interface until light exits.
     #[inline(always)]
     fn walk(
         &self,
@@ -161,7 +161,7 @@ impl Start {
     }
 }
 
-/// The node where a walk ends: that of a corner of the face, drawn by the weights of the corners.
+/// Node at which a walk ends: that of a corner of the face, sampled by the corners' weights.
 fn met(wall: &Wall, nodes: &GatherPoints, exit: &SubsurfaceExit, (key, number): (u32, u32)) -> u32 {
     let [a, b, c] = wall.bvh.corners[exit.hit.triangle as usize];
     let inverse = 1.0 / exit.hit.edges[2];
@@ -178,7 +178,7 @@ fn met(wall: &Wall, nodes: &GatherPoints, exit: &SubsurfaceExit, (key, number): 
 }
 
 impl Sum {
-    /// Adds light that has gone from `start` to an exit at a node.
+    /// Adds light that has traveled from `start` to an exit at a node.
     fn take(&mut self, start: &Start, exit: &SubsurfaceExit, reach: Vec3, from: u32) {
         let offset = sub(exit.point, start.place);
         let square = dot(offset, offset);
@@ -192,7 +192,7 @@ impl Sum {
         }
     }
 
-    /// The row, scaled so that it sums to what the wall gives back.
+    /// The row, scaled so that it sums to the light that the wall returns.
     fn row(mut self, color: Vec3, walks: f32) -> Row {
         self.far.sort_by_key(|link| link.from);
         let far: Vec<Link> = self

@@ -1,9 +1,9 @@
-//! Resistance of the gut against a moving capsule, in three laws.
+//! Resistance of the gut to a moving capsule, by three laws.
 
 use crate::simd::f64x8::ln;
 
-/// Parameters of the logarithmic law as printed: `f = a ln(b v + c) + C`, in mN and mm/s
-/// (Incetan et al., Med. Image Anal. 70, 2021, fitted to Zhang et al., Tribol. Lett. 2012).
+/// Parameters of the logarithmic law as published: `f = a ln(b v + c) + C`, in mN and mm/s (Incetan
+/// et al., Med. Image Anal. 70, 2021, fitted to Zhang et al., Tribol. Lett. 2012).
 #[derive(Clone, Copy)]
 pub struct LogLaw {
     /// Factor a [N].
@@ -14,18 +14,18 @@ pub struct LogLaw {
     pub c: f64,
     /// Resistance C at rest [N].
     pub constant: f64,
-    /// Speed up to which the printed law stays at C [m/s].
+    /// Speed up to which the published law stays at C [m/s].
     pub threshold: f64,
 }
 
-/// Which law, with its parameters.
+/// Law of resistance, with its parameters.
 #[derive(Clone, Copy)]
 pub enum Drag {
-    /// As printed: C up to the threshold, then the logarithm, with a jump between them.
+    /// Law as published: C up to the threshold, then the logarithm, with a jump between them.
     Printed(LogLaw),
-    /// The logarithm at every speed: no jump.
+    /// Logarithm at every speed, without a jump.
     Continuous(LogLaw),
-    /// Coulomb friction and viscous drag; what the stretched wall adds comes from the contact.
+    /// Coulomb friction and viscous drag; the contact adds the resistance of the stretched wall.
     Physical {
         /// Coefficient of friction μ.
         friction: f64,
@@ -43,7 +43,7 @@ impl Drag {
         }
     }
 
-    /// How it grows with speed [N·s/m]; the printed law's jump aside.
+    /// Derivative of the resistance by speed [N·s/m]; ignores the jump of the published law.
     pub fn slope(&self, speed: f64) -> f64 {
         match self {
             Drag::Printed(law) if speed <= law.threshold => 0.0,
@@ -52,7 +52,7 @@ impl Drag {
         }
     }
 
-    /// Whether the law is one of the two logarithmic ones.
+    /// True if the law is one of the two logarithmic ones.
     pub fn is_logarithmic(&self) -> bool {
         !matches!(self, Drag::Physical { .. })
     }

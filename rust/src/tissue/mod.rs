@@ -1,4 +1,4 @@
-//! How the wall moves and resists: Winkler foundation, drag, spring wall, finite elements.
+//! Motion and resistance of the wall: Winkler foundation, drag, spring wall, finite elements.
 
 pub mod drag;
 pub mod fem;

@@ -1,5 +1,5 @@
-//! Spring wall (per-vertex spring and damper): vertices near a contact are pushed, sprung back and damped
-//! (Incetan et al., Med. Image Anal. 70, 2021, Deformation).
+//! Spring wall: a spring and a damper at each vertex near a contact (Incetan et al., Med. Image
+//! Anal. 70, 2021, Deformation).
 
 use crate::simd::f64x8::{LANES, Lane3};
 use glam::DVec3;
@@ -7,22 +7,22 @@ use glam::DVec3;
 /// Parameters of the spring wall.
 #[derive(Clone, Copy)]
 pub struct SpringWall {
-    /// Length d₀ at which the push has fallen to a half [m].
+    /// Distance d₀ at which the force has decreased to a half [m].
     pub length: f64,
-    /// Distance from a contact beyond which nothing is pushed [m].
+    /// Distance from a contact beyond which the force is zero [m].
     pub reach: f64,
     /// Mass of a vertex [kg].
     pub mass: f64,
-    /// Spring that brings a vertex back [N/m].
+    /// Stiffness of the spring of a vertex [N/m].
     pub spring: f64,
     /// Damping μ of a vertex's velocity [1/s].
     pub damping: f64,
 }
 
-/// A contact as the spring wall sees it.
+/// Contact force on the spring wall.
 #[derive(Clone, Copy)]
 pub struct ContactForce {
-    /// Where [m].
+    /// Point of application [m].
     pub center: DVec3,
     /// Force on the wall [N].
     pub force: DVec3,
@@ -31,22 +31,22 @@ pub struct ContactForce {
 /// Displacement and velocity of one vertex.
 #[derive(Clone, Copy, Default, PartialEq)]
 pub struct VertexMotion {
-    /// From where the vertex would be untouched [m].
+    /// Displacement from the position without contact [m].
     pub displacement: DVec3,
-    /// [m/s].
+    /// Velocity [m/s].
     pub velocity: DVec3,
 }
 
-/// Below these a vertex with no push on it counts as back at rest [m], [m/s].
+/// Displacement [m] and velocity [m/s] below which a vertex without load is at rest.
 const STILL: (f64, f64) = (1e-8, 1e-7);
 
 impl SpringWall {
-    /// How far a newton moves a vertex in a time `h` [s] without inertia, backward in time [m/N].
+    /// Compliance of a vertex over a time `h` [s] without inertia, by backward Euler [m/N].
     pub fn give(&self, h: f64) -> f64 {
         h / (self.mass * self.damping + h * self.spring)
     }
 
-    /// One step of a vertex: push, spring back, damp, move.
+    /// Advances a vertex by one step: force, spring, damping, then motion.
     #[inline(always)]
     pub fn advance(&self, vertex: &mut VertexMotion, force: DVec3, dt: f64) {
         let spring = self.spring * vertex.displacement;
@@ -56,7 +56,7 @@ impl SpringWall {
     }
 }
 
-/// Force on eight vertices at each of `places`: of each push, `F / (1 + (d/d₀)²)`.
+/// Forces on eight vertices at each of `places`: for each contact, `F / (1 + (d/d₀)²)`.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -90,7 +90,7 @@ pub fn attenuate(
 }
 
 impl VertexMotion {
-    /// Whether the vertex is back at rest, to a hundredth of a micrometer.
+    /// True if the vertex is at rest, to a hundredth of a micrometer.
     pub fn is_still(&self) -> bool {
         self.displacement.abs().max_element() < STILL.0
             && self.velocity.abs().max_element() < STILL.1

@@ -5,17 +5,17 @@ use crate::simd::f64x8::{exp_m1, ln, max, min};
 /// Foundation that resists the capsule: `vrcaps.tissue.tissue.WinklerFoundation`.
 #[derive(Clone, Copy)]
 pub struct WinklerFoundation {
-    /// Pressure by depth of a slight indentation K [Pa/m].
+    /// Derivative K of pressure by depth at zero depth [Pa/m].
     pub stiffness: f64,
-    /// Growth of stiffness: e-fold for each such depth l [m]; infinite for a linear wall.
+    /// Depth l per e-fold of stiffness [m]; infinite for a linear wall.
     pub stiffening_depth: f64,
-    /// Growth g of pressure with the logarithm of the speed of indentation.
+    /// Increase g of pressure with the logarithm of the speed of indentation.
     pub rate_gain: f64,
-    /// Speed of indentation at which that growth begins [m/s].
+    /// Speed of indentation at which that increase begins [m/s].
     pub rate: f64,
-    /// From this depth on a guard stiffens the wall [m].
+    /// Depth beyond which a penalty stiffens the wall [m].
     guard: f64,
-    /// Its stiffness there [Pa/m].
+    /// Stiffness at that depth [Pa/m].
     guard_stiffness: f64,
 }
 
@@ -24,24 +24,24 @@ pub struct WinklerFoundation {
 pub struct Pressure {
     /// Pressure [Pa].
     pub value: f64,
-    /// Its slope by depth [Pa/m].
+    /// Derivative by depth [Pa/m].
     pub by_depth: f64,
-    /// Its slope by speed [Pa·s/m].
+    /// Derivative by speed [Pa·s/m].
     pub by_speed: f64,
     /// Stored energy [J/m²].
     pub energy: f64,
 }
 
-/// Beyond this many e-folds the wall stiffens no more, so that numbers stay finite.
+/// Number of e-folds beyond which stiffness is constant, so that numbers stay finite.
 const MOST_FOLDS: f64 = 25.0;
-/// Depth at which the guard begins, as a share of the capsule's radius.
+/// Depth at which the penalty begins, as a fraction of the capsule's radius.
 const GUARD: f64 = 0.5;
-/// Depth over which the guard grows e-fold, as a share of where it begins.
+/// Depth per e-fold of the penalty, as a fraction of the depth at which it begins.
 const GUARD_FOLD: f64 = 0.066;
 
 impl WinklerFoundation {
-    /// A wall of stiffness, stiffening depth, rate gain and rate, with a guard against a capsule of a
-    /// radius [m] that would go through it: deeper than half of that it stiffens far faster.
+    /// Wall of stiffness, stiffening depth, rate gain and rate, with a penalty against perforation
+    /// by a capsule of a radius [m]: beyond half of it, the stiffness grows far faster.
     pub fn new(wall: [f64; 4], radius: f64) -> Self {
         let [stiffness, stiffening_depth, rate_gain, rate] = wall;
         let guard = GUARD * radius;
@@ -57,8 +57,8 @@ impl WinklerFoundation {
         made
     }
 
-    /// What the guard adds: nothing above it, then `S d (exp(x) − 1 − x)`, d its fold, x the way
-    /// into it in folds.
+    /// Pressure of the penalty: zero above its depth, then `S d (exp(x) − 1 − x)`, with d its depth
+    /// per e-fold and x the number of e-folds.
     #[inline(always)]
     fn guard(&self, depth: f64) -> Pressure {
         let fold = GUARD_FOLD * self.guard;
@@ -72,9 +72,9 @@ impl WinklerFoundation {
         }
     }
 
-    /// Elastic pressure φ, its slope and its integral: `φ = K l (exp(u/l) − 1)`, exponential as
-    /// soft tissue is (Fung, Biomechanics, 1993). Means over depths with mean u and variance V, to
-    /// its first order: `φ + φ″ V/2`.
+    /// Elastic pressure φ, its derivative and its integral: `φ = K l (exp(u/l) − 1)`, exponential
+    /// as for soft tissue (Fung, Biomechanics, 1993). Means over depths with mean u and variance V,
+    /// to first order in V: `φ + φ″ V/2`.
     #[inline(always)]
     fn elastic(&self, depth: f64, variance: f64) -> Pressure {
         let (k, l) = (self.stiffness, self.stiffening_depth);
@@ -107,7 +107,7 @@ impl WinklerFoundation {
         };
         let x = speed / self.rate;
         let root = (1.0 + x * x).sqrt();
-        // asinh without care for tiny x, whose error only matters beside 1.
+        // The error of asinh for tiny x is negligible relative to 1.
         let factor = max(1.0 + self.rate_gain * ln(x.abs() + root).copysign(x), 0.0);
         let by_speed = elastic.value * self.rate_gain / (self.rate * root);
         Pressure {

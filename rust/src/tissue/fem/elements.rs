@@ -2,28 +2,28 @@
 
 use glam::{DMat3, DVec3};
 
-/// Nodes of an element.
+/// Number of nodes of an element.
 pub const NODES: usize = 10;
-/// Linear functions over a prism.
+/// Number of linear functions over a prism.
 pub const MODES: usize = 4;
-/// Elements of a prism.
+/// Number of elements of a prism.
 const PRISM: usize = 3;
 
-/// A material of the exponential neo-Hookean family: with q = tr(FᵀF) − 3 − 2 ln J,
-/// `Ψ = μ/(2b) (exp(b q) − 1) + λ/2 (ln J)²`; for b = 0 neo-Hookean, `Ψ = μ/2 q + λ/2 (ln J)²`.
-/// The second term is of ln J as projected over a prism.
+/// Material of the exponential neo-Hookean family: with q = tr(FᵀF) − 3 − 2 ln J,
+/// `Ψ = μ/(2b) (exp(b q) − 1) + λ/2 (ln J)²`; for b = 0 neo-Hookean, `Ψ = μ/2 q + λ/2 (ln J)²`. In
+/// the second term, ln J is projected over a prism.
 #[derive(Clone, Copy)]
 pub struct Hyperelastic {
     /// Shear modulus μ at rest [Pa].
     pub shear: f64,
     /// Lamé's first parameter λ [Pa].
     pub lame: f64,
-    /// Stiffening b.
+    /// Stiffening parameter b.
     pub stiffening: f64,
 }
 
 impl Hyperelastic {
-    /// Energy [J/m³] and first Piola-Kirchhoff stress [Pa] but for those of volume.
+    /// Energy [J/m³] and first Piola-Kirchhoff stress [Pa] without the volumetric terms.
     #[inline(always)]
     fn distort(&self, point: &Point) -> (f64, DMat3) {
         let Point { gradient, inverse, log } = point;
@@ -40,18 +40,18 @@ impl Hyperelastic {
     }
 }
 
-/// How space is deformed at one point.
+/// Deformation at one point.
 #[derive(Clone, Copy)]
 struct Point {
     gradient: DMat3,
-    /// Inverse of the gradient's transpose.
+    /// Inverse transpose of the deformation gradient.
     inverse: DMat3,
-    /// Logarithm of the volume, relative to rest.
+    /// Logarithm of the volume ratio.
     log: f64,
 }
 
 impl Point {
-    /// None where space is turned inside out.
+    /// Deformation with a gradient; `None` if it is inverted.
     #[inline(always)]
     fn new(gradient: DMat3) -> Option<Self> {
         let volume = gradient.determinant();
@@ -60,24 +60,25 @@ impl Point {
     }
 }
 
-/// Elements with what they need at their points of integration; three after three are a prism.
+/// Elements with precomputed data at their quadrature points; each three in sequence form a prism.
 pub struct Elements {
     pub material: Hyperelastic,
     /// Nodes of each element.
     pub nodes: Vec<[u32; NODES]>,
-    /// Gradients of the shape functions at each point [1/m], element by element.
+    /// Gradients of the shape functions at each quadrature point [1/m], element by element.
     pub gradients: Vec<[DVec3; NODES]>,
-    /// Volume of each point [m³].
+    /// Volume of each quadrature point [m³].
     pub weights: Vec<f64>,
-    /// Functions onto which a prism's change of volume is projected, at each point [m^-3/2].
+    /// Functions onto which a prism's change of volume is projected, at each quadrature point
+    /// [m^-3/2].
     pub modes: Vec<[f64; MODES]>,
 }
 
 impl Elements {
-    /// Energy [J] at displacements `u` of the free nodes; adds `scale` times the nodes' forces to
-    /// `out`. Infinite where an element is inverted, and `out` is then of no use.
+    /// Energy [J] at displacements `u` of the free nodes; adds `scale` times the nodal forces to
+    /// `out`. If an element is inverted, the energy is infinite and `out` invalid.
     ///
-    /// Nodes beyond the end of `u` are held.
+    /// Nodes beyond the end of `u` are fixed.
     pub fn add_force(&self, u: &[DVec3], scale: f64, out: &mut [DVec3]) -> f64 {
         let count = self.weights.len() / self.nodes.len();
         let (mut energy, mut prism) = (0.0, Vec::with_capacity(PRISM * count));
@@ -112,7 +113,7 @@ impl Elements {
         energy
     }
 
-    /// Deformation at point `p` of an element whose nodes have moved.
+    /// Deformation at quadrature point `p` of an element with moved nodes.
     #[inline(always)]
     fn deform(&self, p: usize, moved: &[DVec3; NODES]) -> Option<Point> {
         let mut columns = [DVec3::X, DVec3::Y, DVec3::Z];
@@ -125,8 +126,8 @@ impl Elements {
         Point::new(DMat3::from_cols(x, y, z))
     }
 
-    /// Energy of distortion of one element, and the forces at its nodes; `change` is how the
-    /// logarithm of its prism's volume is made up of the modes.
+    /// Distortional energy of one element, and the forces at its nodes; `change` are the
+    /// coefficients of the modes for the logarithm of its prism's volume ratio.
     #[inline(always)]
     fn force(
         &self,

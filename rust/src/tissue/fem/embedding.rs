@@ -1,21 +1,21 @@
-//! How a finer surface hangs on the layer's nodes.
+//! Embedding of a finer surface in the layer: interpolation from its nodes.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Nodes that carry one vertex of the surface.
+/// Number of nodes from which one vertex of the surface is interpolated.
 pub const CARRIERS: usize = 12;
 
 /// Vertices as weighted sums of nodes.
 pub struct Embedding {
-    /// Nodes of each vertex; beyond the free ones they are held.
+    /// Nodes of each vertex; indices beyond the free ones are fixed nodes.
     pub nodes: Vec<[u32; CARRIERS]>,
-    /// Their weights; each vertex's sum to 1.
+    /// Weights of the nodes; those of each vertex sum to 1.
     pub weights: Vec<[f64; CARRIERS]>,
 }
 
 impl Embedding {
-    /// What the vertices have where the free nodes have `a` and `b`.
+    /// Interpolates nodal values `a` and `b` of the free nodes at the vertices.
     pub fn carry<T: From<(DVec3, DVec3)> + Send>(&self, a: &[DVec3], b: &[DVec3], out: &mut [T]) {
         let vertices = self.nodes.par_iter().zip(&self.weights).zip(out).with_min_len(4096);
         vertices.for_each(|((nodes, weights), out)| {
@@ -31,7 +31,8 @@ impl Embedding {
         });
     }
 
-    /// Adds the forces of vertices to the free nodes that carry them; the work stays the same.
+    /// Distributes forces of vertices to the free nodes that they are interpolated from, with equal
+    /// work.
     pub fn gather(&self, force: impl Fn(usize) -> DVec3, out: &mut [DVec3]) {
         for (v, (nodes, weights)) in self.nodes.iter().zip(&self.weights).enumerate() {
             let force = force(v);

@@ -1,4 +1,4 @@
-//! The Cholesky factor of a symmetric matrix over pairs of nodes.
+//! Cholesky factor of a symmetric matrix over pairs of nodes.
 
 use super::sparse::Pattern;
 use faer::dyn_stack::{MemBuffer, MemStack};
@@ -11,14 +11,14 @@ use faer::sparse::{SparseColMatRef, SymbolicSparseColMat, SymbolicSparseColMatRe
 use faer::{Conj, MatMut, Par, Side};
 use glam::{DMat3, DVec3};
 
-/// How a matrix is ordered and which entries its factor has; depends on the pattern alone.
+/// Symbolic factorization: order and nonzero entries of the factor, from the pattern alone.
 pub struct Symbolic {
-    /// The upper triangle by columns, three to a node.
+    /// Upper triangle by columns, three to a node.
     matrix: SymbolicSparseColMat<u32>,
     factor: SymbolicCholesky<u32>,
 }
 
-/// `L Lᵀ = A`, and the room that solving with it takes.
+/// Factor `L Lᵀ = A`, and the work memory of solutions.
 pub struct Factor {
     values: Vec<f64>,
     room: MemBuffer,

@@ -1,4 +1,4 @@
-//! A layer of finite elements: what Python holds and steps.
+//! Python binding of a layer of finite elements.
 
 use super::Outcome;
 use super::elements::{Elements, Hyperelastic, NODES};
@@ -14,7 +14,7 @@ use numpy::{
 };
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-/// Steps of the minimization before it is given up.
+/// Maximum number of steps of the minimization.
 const MOST_ROUNDS: usize = 200;
 
 /// Matrices of the layer over its free nodes: `vrcaps.tissue.fem.assembly.Matrices`.
@@ -28,7 +28,7 @@ struct MatrixArrays<'py> {
     node_mass: PyReadonlyArray1<'py, f64>,
 }
 
-/// Its elements, for a wall that is not linear: `vrcaps.tissue.fem.assembly.ElementPoints`.
+/// Elements of the layer, for a nonlinear wall: `vrcaps.tissue.fem.assembly.ElementPoints`.
 #[derive(FromPyObject)]
 struct ElementArrays<'py> {
     nodes: PyReadonlyArray2<'py, u32>,
@@ -40,37 +40,37 @@ struct ElementArrays<'py> {
     stiffening: f64,
 }
 
-/// Embedding of the surface in it, as in `vrcaps.tissue.fem.wall.Embedding`.
+/// Embedding of the surface in the layer, as in `vrcaps.tissue.fem.wall.Embedding`.
 #[derive(FromPyObject)]
 struct EmbeddingArrays<'py> {
     nodes: PyReadonlyArray2<'py, u32>,
     weights: PyReadonlyArray2<'py, f64>,
 }
 
-/// `ρ dv/dt = ρ b + div σ` on the layer, with all its matrices.
+/// Discretization of `ρ dv/dt = ρ b + div σ` on the layer, with all its matrices.
 pub(super) struct Body {
     pattern: Pattern,
     /// Mass between nodes [kg].
     mass: Vec<f64>,
     /// Elastic support between nodes [N/m].
     support: Vec<f64>,
-    /// Stiffness at rest, the support's included [N/m].
+    /// Stiffness at rest, including the support [N/m].
     stiffness: Vec<DMat3>,
-    /// Mass that a uniform acceleration moves at each node [kg].
+    /// Lumped mass of each node under uniform acceleration [kg].
     node_mass: Vec<f64>,
-    /// Time of the viscous stress: that of the rest stiffness times the strain's speed [s].
+    /// Time of the viscous stress, which is the rest stiffness times the strain rate times it [s].
     damping: f64,
-    /// None for a linear wall.
+    /// Elements; `None` for a linear wall.
     pub(super) elements: Option<Elements>,
 }
 
-/// A factor and the step it is for.
+/// Factor, and the time step that it is for.
 struct Prepared {
     dt: f64,
     factor: Factor,
 }
 
-/// One implicit step as a minimum over the new velocities.
+/// Implicit step as a minimization over the new velocities.
 struct Step<'a> {
     body: &'a Body,
     elements: &'a Elements,
@@ -131,19 +131,19 @@ impl Body {
     }
 }
 
-/// The wall as a layer: its matrices, their factor and its motion.
+/// Wall as a layer: its matrices, their factor and its motion.
 #[pyclass(module = "vrcaps._core")]
 pub struct FemLayer {
     pub(super) body: Body,
-    /// How the surface's vertices hang on the nodes.
+    /// Embedding of the surface's vertices in the nodes.
     pub embedding: Embedding,
     symbolic: Symbolic,
     prepared: Option<Prepared>,
-    /// Of the free nodes [m].
+    /// Displacements of the free nodes [m].
     pub displacement: Vec<DVec3>,
-    /// Of the free nodes [m/s].
+    /// Velocities of the free nodes [m/s].
     pub velocity: Vec<DVec3>,
-    /// Back-substitutions of the last step.
+    /// Number of back-substitutions of the last step.
     #[pyo3(get)]
     rounds: usize,
 }
@@ -173,7 +173,7 @@ fn elements(given: ElementArrays) -> PyResult<Elements> {
 }
 
 impl FemLayer {
-    /// Makes the factor for steps of `dt` [s], unless it is there.
+    /// Computes the factor for steps of `dt` [s], if it is not available.
     pub(super) fn prepare(&mut self, dt: f64) -> Outcome<()> {
         if self.prepared.as_ref().is_some_and(|prepared| prepared.dt == dt) {
             return Ok(());
@@ -198,19 +198,19 @@ impl FemLayer {
         right
     }
 
-    /// Whether its stress is Hooke's.
+    /// True if the material is linear (Hooke's law).
     pub fn is_linear(&self) -> bool {
         self.body.elements.is_none()
     }
 
-    /// Replaces b by the solution of `(M + dt (dt + c) K) x = b` for the step last prepared.
+    /// Replaces b by the solution of `(M + dt (dt + c) K) x = b` for the last prepared step.
     pub(super) fn solve(&mut self, b: &mut [DVec3]) {
         if let Some(prepared) = &mut self.prepared {
             self.symbolic.solve(&mut prepared.factor, b);
         }
     }
 
-    /// The same for three at once.
+    /// Solves as `solve`, for three right-hand sides at once.
     pub(super) fn solve_three(&self, mut b: [Vec<DVec3>; 3]) -> [Vec<DVec3>; 3] {
         if let Some(prepared) = &self.prepared {
             self.symbolic.solve_three(&prepared.factor, &mut b);
@@ -218,7 +218,7 @@ impl FemLayer {
         b
     }
 
-    /// Velocities after a step of a wall of any stress, to `tolerance` [m], sought from a guess.
+    /// Velocities after a step of a nonlinear wall, to `tolerance` [m], from an initial guess.
     pub(super) fn nonlinear_step(
         &mut self,
         force: &[DVec3],
@@ -267,7 +267,7 @@ impl FemLayer {
         let starts = matrices.starts.as_slice()?.iter().map(|&k| k as usize).collect();
         let pattern = Pattern { starts, columns: matrices.columns.as_slice()?.to_vec() };
         let blocks = matrices.stiffness.as_slice()?.chunks_exact(9);
-        // Rows come one after another; a matrix is made from columns.
+        // Blocks are stored by rows, but a matrix is made from columns.
         let stiffness = blocks.map(|b| DMat3::from_cols_slice(b).transpose()).collect();
         let symbolic = Symbolic::new(&pattern).map_err(PyValueError::new_err)?;
         let still = vec![DVec3::ZERO; pattern.len()];
@@ -293,8 +293,8 @@ impl FemLayer {
         })
     }
 
-    /// Steps on by `dt` [s] under forces on the surface's vertices [N] and a uniform acceleration
-    /// [m/s²]; the motion stays as it was where that fails.
+    /// Advances by `dt` [s] under forces on the surface's vertices [N] and a uniform acceleration
+    /// [m/s²]; the motion is unchanged after an error.
     fn step(
         &mut self,
         py: Python<'_>,

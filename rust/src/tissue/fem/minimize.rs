@@ -1,41 +1,41 @@
-//! Quasi-Newton minimization that starts from one factor and learns the rest.
+//! Quasi-Newton minimization with a constant, factorized matrix as preconditioner.
 //!
-//! Limited-memory BFGS whose first guess of the inverse is a constant, factorized matrix (Liu,
-//! Bouaziz, Kavan, ACM Trans. Graph. 36(3), 2017; Nocedal, Wright, Numerical Optimization, 2006,
-//! algorithm 7.4): the factor is made once, however the stiffness changes.
+//! Limited-memory BFGS whose initial inverse Hessian is that matrix (Liu, Bouaziz, Kavan, ACM
+//! Trans. Graph. 36(3), 2017; Nocedal, Wright, Numerical Optimization, 2006, algorithm 7.4): it is
+//! factorized once, for any change of the stiffness.
 
 use super::sparse::{add_scaled, dot, longest};
 use glam::DVec3;
 use std::collections::VecDeque;
 
-/// Pairs of steps and changes of slope that are kept.
+/// Number of stored pairs of steps and changes of the gradient.
 const MEMORY: usize = 8;
-/// A step is good when it gains this share of what the slope promises (Armijo).
+/// Fraction of the predicted decrease that a step must reach (Armijo condition);
 const GAIN: f64 = 1e-4;
-/// or when the slope along it has come down to this share, where the gain drowns in rounding.
+/// or fraction to which the directional derivative must fall, where rounding hides the decrease.
 const FLATTENED: f64 = 0.9;
-/// A step is halved this many times at most.
+/// Maximum number of halvings of a step.
 const HALVINGS: usize = 30;
 
-/// What is minimized.
+/// Function to minimize.
 pub trait Objective {
-    /// Its value at `x`, infinite where it is not allowed; writes the slope.
+    /// Value at `x`, infinite outside the domain; writes the gradient to `slope`.
     fn evaluate(&mut self, x: &[DVec3], slope: &mut [DVec3]) -> f64;
     /// Applies the inverse of the constant matrix.
     fn precondition(&mut self, vector: &mut [DVec3]);
 }
 
-/// A step made, with the change of slope along it.
+/// Step, with the change of the gradient along it.
 struct Pair {
     step: Vec<DVec3>,
     change: Vec<DVec3>,
-    /// Their product.
+    /// Dot product of step and change.
     curvature: f64,
 }
 
 /// Minimizes from `x`, until a full step would move no node by more than `tolerance`.
 ///
-/// Returns the number of steps, or None if `most` were not enough.
+/// Returns the number of steps, or `None` if `most` steps do not suffice.
 pub fn minimize(
     objective: &mut impl Objective,
     x: &mut Vec<DVec3>,
@@ -81,7 +81,7 @@ pub fn minimize(
     None
 }
 
-/// The direction to go: minus the slope, bent by what is known of the curvature.
+/// Search direction: the negative gradient times the approximate inverse Hessian.
 fn descent(objective: &mut impl Objective, pairs: &VecDeque<Pair>, slope: &[DVec3]) -> Vec<DVec3> {
     let mut direction: Vec<DVec3> = slope.iter().map(|g| -*g).collect();
     let mut shares = [0.0; MEMORY];
@@ -121,7 +121,7 @@ fn remember(
 mod tests {
     use super::*;
 
-    /// A stiffening spring for each node: the matrix knows its slope at rest only.
+    /// Stiffening spring for each node: the matrix is its stiffness at rest only.
     struct Springs;
 
     impl Objective for Springs {

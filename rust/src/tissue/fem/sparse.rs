@@ -2,19 +2,19 @@
 
 use glam::{DMat3, DVec3};
 
-/// Which nodes are coupled: the lower triangle with its diagonal, by rows.
+/// Coupled nodes: the lower triangle with its diagonal, by rows.
 pub struct Pattern {
-    /// Where each row starts, and the end of the last.
+    /// Start of each row, and the end of the last.
     pub starts: Vec<usize>,
-    /// Column of each pair; within a row rising, the diagonal last.
+    /// Column of each pair; ascending within a row, the diagonal last.
     pub columns: Vec<u32>,
 }
 
-/// A number or a matrix that acts on one node's vector.
+/// Number or matrix that acts on one node's vector.
 pub trait Entry: Copy {
-    /// `entry · x`.
+    /// Product `entry · x`.
     fn apply(self, x: DVec3) -> DVec3;
-    /// `entryᵀ · x`.
+    /// Product `entryᵀ · x`.
     fn apply_transposed(self, x: DVec3) -> DVec3;
 }
 
@@ -63,12 +63,12 @@ impl Pattern {
     }
 }
 
-/// Sum of the products of all components.
+/// Dot product of all components.
 pub fn dot(a: &[DVec3], b: &[DVec3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a.dot(*b)).sum()
 }
 
-/// Largest length of a node's vector; NaN where one is.
+/// Maximum length of a node's vector; NaN if one is NaN.
 pub fn longest(a: &[DVec3]) -> f64 {
     let larger = |most: f64, x: f64| if x > most || x.is_nan() { x } else { most };
     a.iter().map(|x| x.length_squared()).fold(0.0, larger).sqrt()

@@ -1,4 +1,4 @@
-//! A layer's step in two halves, for one whose load comes out while it moves.
+//! Step of a layer in two parts, for loads that depend on its motion.
 
 use super::Outcome;
 use super::layer::FemLayer;
@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 
 impl FemLayer {
     /// Velocities at the end of a step of `dt` [s] under forces on the free nodes [N], solved to
-    /// `tolerance` [m]. The layer itself stays as it is.
+    /// `tolerance` [m]. The layer itself is unchanged.
     pub fn predict(&mut self, force: &[DVec3], dt: f64, tolerance: f64) -> Outcome<Vec<DVec3>> {
         self.prepare(dt)?;
         match self.body.elements {
@@ -16,8 +16,8 @@ impl FemLayer {
         }
     }
 
-    /// The same after all for other forces, which give `gained` more momentum [N·s], from what was
-    /// predicted.
+    /// Velocities from the predicted ones under other forces, which add the momentum `gained`
+    /// [N·s].
     pub fn correct(
         &mut self,
         predicted: Vec<DVec3>,
@@ -43,10 +43,10 @@ impl FemLayer {
         add_scaled(&self.velocity, dt, &mut self.displacement);
     }
 
-    /// How the velocity of every node at the end of a step of `dt` grows with a force on one [m/s
-    /// per N]; of the stiffness at rest.
+    /// Change of the velocity of every node at the end of a step of `dt` by a force on one node
+    /// [m/s per N]; for the stiffness at rest.
     ///
-    /// Each node is solved for by itself, so that its bytes do not depend on who else is asked for.
+    /// Each node is solved for separately, so that its bytes do not depend on the other requests.
     pub fn mobility(&mut self, node: u32, dt: f64) -> Outcome<Vec<DMat3>> {
         self.prepare(dt)?;
         let columns = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| {

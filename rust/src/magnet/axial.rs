@@ -1,4 +1,4 @@
-//! Fields with an axis of symmetry in closed form: a current loop, and a thin shell of current,
+//! Axially symmetric fields in closed form: a current loop, and a thin current sheet on a cylinder,
 //! which is also a cylinder magnetized along its axis.
 
 use super::axial_field::AxialField;
@@ -7,12 +7,12 @@ use super::elliptic::{Complete, complete, complete_with_third};
 use super::multipole::{FAR, Multipole};
 use std::f64::consts::PI;
 
-/// A wire or rim nearer than this part of the distance to its far side counts as touched.
+/// Distance of a wire or rim at which a point is on it, relative to the distance of its far side.
 const TOUCH: f64 = 1e-9;
-/// Below this squared complementary modulus the form for places near the wire is used.
+/// Squared complementary modulus below which the form for points near the wire is used.
 const NEAR_WIRE: f64 = 0.1;
-/// Below this part of the length on which a field varies a place counts as near the axis: what is
-/// left out there is of the fourth order.
+/// Distance from the axis below which a point is near it, relative to the length on which the field
+/// varies: the omitted terms are of fourth order.
 const NEAR_AXIS: f64 = 1e-3;
 
 /// Squared distances to the near and the far side of a ring, and the modulus.
@@ -32,8 +32,8 @@ fn modulus<N: Number>(a: f64, rho: f64, z: N) -> Modulus<N> {
 
 /// `B_z` and `B_ρ/ρ` of a loop of radius `a` per μ₀ I, `z` above its plane.
 ///
-/// Biot and Savart's law in terms of K, T (see `elliptic`); in two forms, of which one keeps its
-/// digits near the axis and far away, the other near the wire.
+/// Biot-Savart law in terms of K, T (see `elliptic`), in two forms: one is accurate near the axis
+/// and far away, the other near the wire.
 #[inline(always)]
 fn ring<N: Number>(a: f64, rho: f64, z: N, u: &Modulus<N>, e: Complete<N>) -> (N, N) {
     let one = N::constant(1.0);
@@ -43,7 +43,7 @@ fn ring<N: Number>(a: f64, rho: f64, z: N, u: &Modulus<N>, e: Complete<N>) -> (N
     let bend = e.t * (2.0 * rho) - (mt + 1.0) * (a + rho);
     let along = scale * e.k * (bend / u.far * (2.0 * rho) + 1.0) * (a * a);
     let radial = scale * z * e.k / u.far * (N::constant(0.25) - half * e.t) * (8.0 * a * a);
-    // Near the wire: E and D in place of K.
+    // Near the wire, E and D replace K.
     let d = e.k * (mt + 1.0) * 0.5;
     let second = e.k - u.m * d;
     let near = u.far * u.kc2 * u.m * d + second * (2.0 * a * (a - rho));
@@ -60,7 +60,7 @@ fn is_near(x: f64, y: f64, limit: f64) -> bool {
     x * x + y * y <= limit * limit
 }
 
-/// A current loop: one filament.
+/// Current loop: one filament.
 #[derive(Clone)]
 pub struct Ring {
     radius: f64,
@@ -69,7 +69,7 @@ pub struct Ring {
     far: Multipole,
 }
 
-/// A thin shell of current around a cylinder; a magnet of remanence `sheet` has the same B.
+/// Thin current sheet on a cylinder; a magnet of remanence `sheet` has the same B.
 #[derive(Clone)]
 pub struct Shell {
     radius: f64,
@@ -83,16 +83,16 @@ pub struct Shell {
 pub struct Potential {
     /// Field of the same cylinder magnetized along its axis.
     pub axial: AxialField,
-    /// `N_ρ/ρ` [T]; not near the axis.
+    /// Component `N_ρ/ρ` [T]; not near the axis.
     pub radial: f64,
-    /// Whether the place is near the axis.
+    /// True if the point is near the axis.
     pub is_near_axis: bool,
     /// Remanence [T] inside the cylinder, half of it on its surface, else 0.
     pub inside: f64,
 }
 
 impl Ring {
-    /// A loop of `radius` [m] with μ₀ × current × turns [T·m].
+    /// Loop of `radius` [m] with μ₀ × current × turns [T·m].
     pub fn new(radius: f64, strength: f64) -> Self {
         Ring { radius, strength, far: Multipole::ring(radius, strength) }
     }
@@ -115,24 +115,25 @@ impl Ring {
         }
     }
 
-    /// Whether a place is on the wire.
+    /// True if a point is on the wire.
     pub fn is_singular(&self, rho: f64, z: f64) -> bool {
         is_near(rho - self.radius, z, TOUCH * self.radius)
     }
 }
 
 impl Shell {
-    /// A shell of `radius` and `half_length` [m] with μ₀ × current per length [T].
+    /// Shell of `radius` and `half_length` [m] with μ₀ × current per length [T].
     pub fn new(radius: f64, half_length: f64, sheet: f64) -> Self {
         let far = Multipole::shell(radius, half_length, sheet);
         Shell { radius, half_length, sheet, far }
     }
 
-    /// Field at distance `rho` from the axis and height `z` above the middle.
+    /// Field at distance `rho` from the axis and height `z` above the center.
     ///
-    /// B_z: Derby and Olbert, Am. J. Phys. 78:229 (2010), eq. 1 to 4. The shell is a stack of loops,
-    /// so that ∂B/∂z is the difference of the loops at its ends, and B_ρ the difference of their
-    /// vector potentials `4 a² C(m)/(π s³) ρ`. On the shell itself B_z is the mean of both sides.
+    /// B_z: Derby and Olbert, Am. J. Phys. 78:229 (2010), eq. 1 to 4. The shell is a stack of
+    /// loops, so that ∂B/∂z is the difference of the loops at its ends, and B_ρ the difference of
+    /// their vector potentials `4 a² C(m)/(π s³) ρ`. On the shell itself B_z is the mean of both
+    /// sides.
     #[inline]
     pub fn field(&self, rho: f64, z: f64) -> AxialField {
         let limit = FAR * self.far.size;
@@ -157,10 +158,11 @@ impl Shell {
         }
     }
 
-    /// Potential of a cylinder of this shape, with `sheet` for its remanence.
+    /// Potential of a cylinder of this shape, with `sheet` as its remanence.
     ///
-    /// `ρN_ρ` of one end is −Q(a, ρ, ζ): symmetric in a and ρ, homogeneous of the second degree, with
-    /// `∂Q/∂ρ = ρB_z(a, ρ)` and `∂Q/∂ζ = ρ² C`, so that `2Q = ρ²B_z(a, ρ) + a²B_z(ρ, a) + ρ²ζC` (Euler).
+    /// `ρN_ρ` of one end is −Q(a, ρ, ζ): symmetric in a and ρ, homogeneous of degree two, with
+    /// `∂Q/∂ρ = ρB_z(a, ρ)` and `∂Q/∂ζ = ρ² C`, so that
+    /// `2Q = ρ²B_z(a, ρ) + a²B_z(ρ, a) + ρ²ζC` (Euler).
     pub fn potential(&self, rho: f64, z: f64) -> Potential {
         let (a, beyond) = (self.radius, z.abs() - self.half_length);
         let share = |depth: f64| {
@@ -197,7 +199,7 @@ impl Shell {
         Potential { axial, radial, is_near_axis: false, inside }
     }
 
-    /// Whether a place is on a rim, where the field has no limit.
+    /// True if a point is on a rim, where the field has no limit.
     pub fn is_singular(&self, rho: f64, z: f64) -> bool {
         is_near(rho - self.radius, z.abs() - self.half_length, TOUCH * self.radius)
     }

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-/// Field in cylinder coordinates (ρ, z) and its slopes along z.
+/// Field in cylindrical coordinates (ρ, z) and its derivatives along z.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct AxialField {
     /// B_z [T].
@@ -18,7 +18,7 @@ pub struct AxialField {
 impl AxialField {
     /// Flux density [T] and gradient `∂B_i/∂x_j` [T/m] at `p`, in the source's frame.
     ///
-    /// With `h = −2 B_ρ/ρ − ∂B_z/∂z = ρ ∂(B_ρ/ρ)/∂ρ`, which is div B = 0.
+    /// From div B = 0, `h = −2 B_ρ/ρ − ∂B_z/∂z = ρ ∂(B_ρ/ρ)/∂ρ`.
     #[inline(always)]
     pub fn at(&self, p: DVec3, rho2: f64) -> (DVec3, DMat3) {
         let over = if rho2 > f64::MIN_POSITIVE { 1.0 / rho2 } else { 0.0 };

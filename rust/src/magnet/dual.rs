@@ -1,4 +1,4 @@
-//! Numbers that the closed forms are written for: two lanes at once, and values with a derivative.
+//! Number types of the closed forms: pairs of lanes, and dual numbers.
 
 use std::ops::{Add, Div, Mul, Sub};
 
@@ -12,25 +12,26 @@ pub trait Number:
     + Add<f64, Output = Self>
     + Mul<f64, Output = Self>
 {
-    /// A constant.
+    /// Number from a constant.
     fn constant(x: f64) -> Self;
     /// Square root of a positive number.
     fn sqrt(self) -> Self;
-    /// Whether every lane differs from `other`'s by `part` of it or less, derivatives left aside.
+    /// True if every lane differs from `other`'s by at most the fraction `part` of it, by value
+    /// only.
     fn is_close(self, other: Self, part: f64) -> bool;
-    /// `small` where a lane of `key` is below `limit`, else `large`.
+    /// Selects `small` where a lane of `key` is below `limit`, else `large`.
     fn choose(key: Self, limit: f64, small: Self, large: Self) -> Self;
-    /// Not below `least`.
+    /// Maximum of the number and `least`.
     fn at_least(self, least: f64) -> Self {
         Self::choose(self, least, Self::constant(least), self)
     }
 }
 
-/// Two numbers side by side: the two ends of a magnet.
+/// Two numbers in SIMD lanes: the two ends of a magnet.
 #[derive(Clone, Copy, Debug)]
 pub struct Pair(pub [f64; 2]);
 
-/// A number and its derivative (exact differentiation, forward mode).
+/// Dual number: a value and its derivative (forward-mode automatic differentiation).
 #[derive(Clone, Copy, Debug)]
 pub struct Dual {
     /// Value.

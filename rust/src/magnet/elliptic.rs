@@ -1,7 +1,7 @@
 //! Complete elliptic integrals by the arithmetic-geometric mean, without cancellation.
 //!
-//! With `Δ² = cos²θ + k′² sin²θ`, `m = 1 − k′²`, and `A_n = 2ⁿ a_n`, `B_n = 2ⁿ b_n` the scaled means
-//! from `a_0 = 1`, `b_0 = k′` (Bulirsch, Numer. Math. 7:78, 1965): `K = π/2 · 2ᴺ/A_N`. The
+//! With `Δ² = cos²θ + k′² sin²θ`, `m = 1 − k′²`, and `A_n = 2ⁿ a_n`, `B_n = 2ⁿ b_n` the scaled
+//! means from `a_0 = 1`, `b_0 = k′` (Bulirsch, Numer. Math. 7:78, 1965): `K = π/2 · 2ᴺ/A_N`. The
 //! differences `c_n = (a_{n−1} − b_{n−1})/2` are proportional to m, `c_n = m D_n/2ⁿ`, with
 //! `D_1 = 1/A_1` and `D_{n+1} = m D_n²/A_{n+1}`. From `1 − E/K = Σ_{n≥0} 2^{n−1} c_n²` follows
 //!
@@ -10,14 +10,14 @@
 //! D(m) = ∫ sin²θ / Δ dθ = K (1 + m T)/2,    E = K − m D
 //! ```
 //!
-//! all sums of positive terms, so that nothing is lost near the axis, where m goes to 0.
+//! All are sums of positive terms, accurate near the axis, where m goes to 0.
 
 use super::dual::{Number, Pair};
 use std::f64::consts::FRAC_PI_2;
 
-/// Relative difference of the means after which one more step is exact to the last digit.
+/// Relative difference of the means after which one more step is exact to machine precision.
 const CLOSE: f64 = 1e-8;
-/// Weight 2⁻ⁿ after more steps than any k′ above 1e-150 needs.
+/// Weight 2⁻ⁿ after more steps than any k′ above 1e-150 requires.
 const LEAST_WEIGHT: f64 = 2.5e-4;
 
 /// The integrals K and T = C/K of one modulus.
@@ -25,11 +25,11 @@ const LEAST_WEIGHT: f64 = 2.5e-4;
 pub struct Complete<N> {
     /// Complete elliptic integral of the first kind.
     pub k: N,
-    /// Σ D_n²/2ⁿ, see above.
+    /// Sum Σ D_n²/2ⁿ, see above.
     pub t: N,
 }
 
-/// The means and what is summed over them.
+/// Means and sums over them.
 struct Means<N> {
     a: N,
     b: N,
@@ -51,7 +51,7 @@ impl<N: Number> Means<N> {
         self.b.is_close(self.a, CLOSE) || self.weight < LEAST_WEIGHT
     }
 
-    /// One step on, given the root of the means' product.
+    /// Advances by one step, given the square root of the means' product.
     #[inline(always)]
     fn advance(&mut self, m: N, root: N) {
         let a = self.a + self.b;
@@ -82,7 +82,7 @@ pub fn complete<N: Number>(kc: N, m: N) -> Complete<N> {
 
 /// K and T, and `∫ (cos²θ + γ sin²θ)/((cos²θ + γ² sin²θ) Δ) dθ` (Bulirsch's `cel(kc, γ², 1, γ)`).
 ///
-/// For γ = 0 the last is K: the mean of its values for small γ on either side.
+/// For γ = 0 the integral is K: the mean of its values for small γ on either side.
 #[inline(always)]
 pub fn complete_with_third(kc: Pair, m: Pair, gamma: f64) -> (Complete<Pair>, Pair) {
     let mut means = Means::new(kc);

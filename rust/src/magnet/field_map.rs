@@ -1,22 +1,22 @@
-//! A sampled field: values on a regular grid, between them a tricubic spline (Catmull and Rom 1974).
+//! Sampled field on a regular grid, interpolated by a tricubic spline (Catmull and Rom 1974).
 
 use glam::{DMat3, DVec3};
 
 /// Flux density sampled on a regular grid.
 pub struct FieldMap {
     origin: DVec3,
-    /// One over the spacing [1/m].
+    /// Inverse of the spacing [1/m].
     inverse: DVec3,
-    /// Points along x, y, z, before padding.
+    /// Numbers of points along x, y, z, before padding.
     shape: [usize; 3],
-    /// Values [T], one more layer on every side, z fastest.
+    /// Values [T], with one layer of padding on every side, z fastest.
     values: Vec<Lanes>,
 }
 
-/// A vector and a spare lane, so that the compiler uses whole registers.
+/// Vector and a spare lane, so that the compiler uses full registers.
 type Lanes = [f64; 4];
 
-/// `sum + weight · v`.
+/// Adds `weight · v`.
 #[inline(always)]
 fn add(sum: &mut Lanes, weight: f64, v: &Lanes) {
     sum[0] += weight * v[0];
@@ -50,7 +50,7 @@ fn weights(t: f64) -> ([f64; 4], [f64; 4]) {
 }
 
 impl FieldMap {
-    /// A map of at least four points along each axis, `values` with z fastest.
+    /// Map of at least four points along each axis, `values` with z fastest.
     pub fn new(origin: DVec3, spacing: DVec3, shape: [usize; 3], values: &[DVec3]) -> Self {
         let padded = shape.map(|n| n + 2);
         let mut map = FieldMap {
@@ -76,7 +76,7 @@ impl FieldMap {
         (i * (self.shape[1] + 2) + j) * (self.shape[2] + 2) + k
     }
 
-    /// Fills the outer layers along one axis with the cubic through the four points inside.
+    /// Fills the padding along one axis by cubic extrapolation of the four nearest points.
     fn pad(&mut self, axis: usize) {
         let last = self.shape[axis] + 1;
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -100,10 +100,10 @@ impl FieldMap {
         }
     }
 
-    /// Flux density [T] and gradient `∂B_i/∂x_j` [T/m] at `p`, and whether `p` is in the map.
+    /// Flux density [T] and gradient `∂B_i/∂x_j` [T/m] at `p`, and true if `p` is in the map.
     ///
-    /// The gradient is that of the spline. Outside the map: the value at its nearest point, and no
-    /// gradient.
+    /// The gradient is that of the spline. Outside the map: the value at its nearest point, and
+    /// zero gradient.
     pub fn field(&self, p: DVec3) -> (DVec3, DMat3, bool) {
         let place = (p - self.origin) * self.inverse;
         let most = DVec3::from_array(self.shape.map(|n| (n - 1) as f64));

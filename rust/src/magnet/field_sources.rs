@@ -1,4 +1,4 @@
-//! What Python holds of a set of sources: `vrcaps.magnet.field`.
+//! Python handle of a set of sources: `vrcaps.magnet.field`.
 
 use super::axial::{Ring, Shell};
 use super::field_map::FieldMap;
@@ -13,18 +13,18 @@ use numpy::{
 use pyo3::{exceptions::PyValueError, prelude::*};
 use std::sync::Arc;
 
-/// Points that one thread takes at a time.
+/// Number of points in a chunk for one thread.
 const CHUNK: usize = 256;
 
 /// Sources of a magnetic field in the world.
 #[pyclass(module = "vrcaps._core")]
 #[derive(Default)]
 pub struct FieldSources {
-    /// The sources, in the order they were added.
+    /// Sources, in the order in which they were added.
     pub sources: Vec<Source>,
 }
 
-/// Magnets of a body from rows of place and moment.
+/// Magnets of a body from rows of position and moment.
 pub fn internal_magnets(magnets: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<InternalMagnet>> {
     let rows = rows(magnets, 6)?;
     let magnet = |m: &[f64]| InternalMagnet { position: vector(m), moment: vector(&m[3..]) };
@@ -36,7 +36,7 @@ impl FieldSources {
         let count = self.sources.len();
         self.sources
             .get_mut(index)
-            .ok_or_else(|| PyValueError::new_err(format!("No source {index}: there are {count}.")))
+            .ok_or_else(|| PyValueError::new_err(format!("No source {index} of {count}.")))
     }
 
     fn add(&mut self, pose: &PyReadonlyArray2<'_, f64>, kind: Kind) -> PyResult<()> {
@@ -45,7 +45,7 @@ impl FieldSources {
         Ok(())
     }
 
-    /// A magnet within a cylinder about its moment, of a radius and half a length [m].
+    /// Adds a magnet within a cylinder about its moment, of a radius and half a length [m].
     fn add_solid(
         &mut self,
         pose: &PyReadonlyArray2<'_, f64>,
@@ -60,10 +60,10 @@ impl FieldSources {
     }
 }
 
-/// Flux density, gradient and what is to be said about each place.
+/// Flux density, gradient and validity at each point.
 type Fields<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>, Bound<'py, PyArray1<u8>>);
 
-/// Force and torque, and what is to be said about each place.
+/// Force and torque, and validity at each pose.
 type Wrenches<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<u8>>);
 
 #[pymethods]
@@ -77,13 +77,13 @@ impl FieldSources {
         self.sources.len()
     }
 
-    /// A point dipole of a moment [A·m²].
+    /// Adds a point dipole of a moment [A·m²].
     fn add_dipole(&mut self, pose: PyReadonlyArray2<'_, f64>, moment: f64) -> PyResult<()> {
         self.add(&pose, Kind::Dipole(moment))
     }
 
-    /// A shell of radius and length [m] with μ₀ × current per length [T], or a solid magnet of that
-    /// remanence.
+    /// Adds a shell of radius and length [m] with μ₀ × current per length [T], or a solid magnet of
+    /// that remanence.
     #[pyo3(signature = (pose, radius, length, sheet, is_solid=false))]
     fn add_shell(
         &mut self,
@@ -101,8 +101,8 @@ impl FieldSources {
         }
     }
 
-    /// A ring of outer and inner radius and length [m]; across: magnetized across its axis, which is
-    /// then x. An inner radius of 0 is a cylinder.
+    /// Adds a ring of outer and inner radius and length [m]; `across`: magnetized across its axis,
+    /// which is then x. An inner radius of 0 makes a cylinder.
     fn add_magnet_ring(
         &mut self,
         pose: PyReadonlyArray2<'_, f64>,
@@ -124,7 +124,7 @@ impl FieldSources {
         self.add_solid(&pose, kind, around)
     }
 
-    /// A block of edges [m] and a remanence [T], magnetized along its z.
+    /// Adds a block of edges [m] and a remanence [T], magnetized along its z.
     fn add_block(
         &mut self,
         pose: PyReadonlyArray2<'_, f64>,
@@ -135,7 +135,7 @@ impl FieldSources {
         self.add_solid(&pose, Kind::Block(half, remanence), (half.x.hypot(half.y), half.z))
     }
 
-    /// A ball of a radius [m] and a remanence [T].
+    /// Adds a ball of a radius [m] and a remanence [T].
     fn add_ball(
         &mut self,
         pose: PyReadonlyArray2<'_, f64>,
@@ -145,7 +145,7 @@ impl FieldSources {
         self.add_solid(&pose, Kind::Ball(radius, remanence), (radius, radius))
     }
 
-    /// A loop of a radius [m] with current × turns [A].
+    /// Adds a loop of a radius [m] with current × turns [A].
     fn add_ring(
         &mut self,
         pose: PyReadonlyArray2<'_, f64>,
@@ -155,12 +155,12 @@ impl FieldSources {
         self.add(&pose, Kind::Ring(Ring::new(radius, MAGNETIC_CONSTANT * current)))
     }
 
-    /// The same flux density [T] everywhere.
+    /// Adds a uniform flux density [T].
     fn add_uniform(&mut self, pose: PyReadonlyArray2<'_, f64>, flux: f64) -> PyResult<()> {
         self.add(&pose, Kind::Uniform(flux))
     }
 
-    /// Values [nx ny nz 3] in T on a grid with an origin and a spacing [m], times a factor.
+    /// Adds values [nx ny nz 3] in T on a grid with an origin and a spacing [m], times a factor.
     fn add_map(
         &mut self,
         pose: PyReadonlyArray2<'_, f64>,
@@ -172,7 +172,7 @@ impl FieldSources {
         let view = values.as_array();
         let (nx, ny, nz, three) = view.dim();
         if three != 3 || nx.min(ny).min(nz) < 4 {
-            return Err(PyValueError::new_err("A map needs 4 points an axis, 3 numbers each."));
+            return Err(PyValueError::new_err("A map needs 4 points per axis, 3 numbers each."));
         }
         let flat: Vec<f64> = view.iter().copied().collect();
         let values: Vec<DVec3> = flat.chunks_exact(3).map(vector).collect();
@@ -180,7 +180,7 @@ impl FieldSources {
         self.add(&pose, Kind::Map(Arc::new(map), factor))
     }
 
-    /// Moves a source.
+    /// Sets the pose of a source.
     fn set_pose(&mut self, index: usize, pose: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
         let pose = read_pose(&pose)?;
         let source = self.source(index)?;
@@ -188,13 +188,13 @@ impl FieldSources {
         Ok(())
     }
 
-    /// Makes a source's field this many times that of its kind.
+    /// Sets the factor of a source's field.
     fn set_strength(&mut self, index: usize, strength: f64) -> PyResult<()> {
         self.source(index)?.strength = strength;
         Ok(())
     }
 
-    /// Flux density [n 3], gradient [n 3 3] and place [n] at points [n 3].
+    /// Flux density [n 3], gradient [n 3 3] and validity [n] at points [n 3].
     fn field<'py>(
         &self,
         py: Python<'py>,
@@ -214,8 +214,8 @@ impl FieldSources {
         ))
     }
 
-    /// Force and torque [n 6] on a body with magnets [k 6] (place, moment) at poses [n 7] (place,
-    /// quaternion wxyz), and place [n].
+    /// Force and torque [n 6] on a body with magnets [k 6] (position, moment) at poses [n 7]
+    /// (position, quaternion wxyz), and validity [n].
     fn wrench<'py>(
         &self,
         py: Python<'py>,

@@ -1,6 +1,6 @@
 //! Magnetic fields of sources and wrenches on magnets.
 //!
-//! Everything here is in double precision and in SI. Sums run in a fixed order, so that results do
+//! All values are in double precision and in SI units. Sums have a fixed order, so that results do
 //! not depend on the number of threads.
 
 mod axial;

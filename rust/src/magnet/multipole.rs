@@ -1,17 +1,17 @@
-//! Far field of a source with an axis: exterior zonal harmonics, where closed forms cancel.
+//! Far field of an axially symmetric source: exterior zonal harmonics, where closed forms cancel.
 
 use super::axial_field::AxialField;
 
-/// Odd degrees kept: (1/3)^(2·17) is below the last digit.
+/// Number of odd degrees: (1/3)^(2·17) is below machine precision.
 pub const TERMS: usize = 17;
-/// From this multiple of a source's size on the series is used.
+/// Distance from which the series is used, as a multiple of a source's size.
 pub const FAR: f64 = 3.0;
 const SMALL: f64 = 1e-17;
 
-/// `Φ = Σ_l q_l P_l(cos θ)/r^{l+1}` over odd l, with lengths in units of the source's size.
+/// Series `Φ = Σ_l q_l P_l(cos θ)/r^{l+1}` over odd l, with lengths in units of the source's size.
 #[derive(Clone)]
 pub struct Multipole {
-    /// Radius of the sphere that holds the source [m].
+    /// Radius of the bounding sphere of the source [m].
     pub size: f64,
     /// Coefficients q_1, q_3, … [T].
     pub moments: [f64; TERMS],
@@ -41,7 +41,7 @@ const fn steps() -> [[f64; 8]; TERMS] {
     table
 }
 
-/// Derivatives P′_0(x) … P′_last(x) of Legendre's polynomials.
+/// Derivatives P′_0(x) … P′_last(x) of the Legendre polynomials.
 fn legendre_slopes(x: f64) -> [f64; 2 * TERMS + 2] {
     let mut slopes = [0.0; 2 * TERMS + 2];
     slopes[1] = 1.0;
@@ -53,8 +53,8 @@ fn legendre_slopes(x: f64) -> [f64; 2 * TERMS + 2] {
 }
 
 impl Multipole {
-    /// A shell of radius `a` and half length `b` with `sheet` = μ₀ × surface current [T]:
-    /// `q_l = sheet a² r₀^l P′_{l+1}(b/r₀)/((l+1)(l+2))`, from the two charged discs it equals.
+    /// Series of a shell of radius `a` and half length `b` with `sheet` = μ₀ × surface current [T]:
+    /// `q_l = sheet a² r₀^l P′_{l+1}(b/r₀)/((l+1)(l+2))`, from two equivalent charged discs.
     pub fn shell(a: f64, b: f64, sheet: f64) -> Self {
         let size = a.hypot(b);
         let slopes = legendre_slopes(b / size);
@@ -66,7 +66,7 @@ impl Multipole {
         Multipole { size, moments: std::array::from_fn(moment) }
     }
 
-    /// A loop of radius `a`, `strength` = μ₀ × current [T·m]:
+    /// Series of a loop of radius `a`, `strength` = μ₀ × current [T·m]:
     /// `q_l = strength/2 · a^{l+1} P′_l(0)/(l+1)`, from the sheet of dipoles that spans it.
     pub fn ring(a: f64, strength: f64) -> Self {
         let slopes = legendre_slopes(0.0);

@@ -9,11 +9,11 @@ use super::sources::{MAGNETIC_CONSTANT, dipole};
 use glam::{DMat3, DVec3};
 use std::f64::consts::PI;
 
-/// An edge nearer than this part of a block's size counts as touched.
+/// Distance of an edge at which a point is on it, relative to the block's size.
 const TOUCH: f64 = 1e-9;
-/// From this multiple of half its diagonal on a block is a set of dipoles.
+/// Distance from which a block is a set of dipoles, as a multiple of half its diagonal.
 const FAR: f64 = 10.0;
-/// Places and weights of Gauss's quadrature with four points on −1 to 1.
+/// Points and weights of Gaussian quadrature with four points on −1 to 1.
 const GAUSS: [(f64, f64); 4] = [
     (-0.861_136_311_594_052_6, 0.347_854_845_137_453_85),
     (-0.339_981_043_584_856_3, 0.652_145_154_862_546_2),
@@ -27,8 +27,9 @@ fn symmetric(xx: f64, yy: f64, zz: f64, xy: f64, xz: f64, yz: f64) -> DMat3 {
 
 /// Field of a cylinder magnetized across its axis, which is the x axis; its moment is along z.
 ///
-/// With `G = N_ρ/ρ` and the axial field of the same cylinder: `ρ²h = −B_z − 2G = ρ ∂G/∂ρ` and
-/// `ρ²k = −4h − ∂_z(B_ρ/ρ) = ρ ∂h/∂ρ`, which are div B = 0; near the axis `h = −∂_z(B_ρ/ρ)/4`.
+/// With `G = N_ρ/ρ` and the axial field of the same cylinder, div B = 0 gives
+/// `ρ²h = −B_z − 2G = ρ ∂G/∂ρ` and `ρ²k = −4h − ∂_z(B_ρ/ρ) = ρ ∂h/∂ρ`; near the axis
+/// `h = −∂_z(B_ρ/ρ)/4`.
 pub fn across(shell: &Shell, p: DVec3) -> (DVec3, DMat3) {
     let (x, y, z) = (p.z, -p.y, p.x); // the cylinder's own frame, magnetized along its x
     let rho2 = x * x + y * y;
@@ -105,7 +106,7 @@ pub fn block(half: DVec3, remanence: f64, p: DVec3) -> (DVec3, DMat3) {
     (scale * flux + share * remanence * DVec3::Z, symmetric(xx, yy, -xx - yy, xy, xz, yz))
 }
 
-/// Field of a block far away, where the closed form cancels: Gauss's quadrature over dipoles.
+/// Field of a distant block, where the closed form cancels: Gaussian quadrature over dipoles.
 fn distant_block(half: DVec3, remanence: f64, p: DVec3) -> (DVec3, DMat3) {
     let moment = half.x * half.y * half.z * remanence / MAGNETIC_CONSTANT;
     let (mut flux, mut gradient) = (DVec3::ZERO, DMat3::ZERO);
@@ -121,7 +122,7 @@ fn distant_block(half: DVec3, remanence: f64, p: DVec3) -> (DVec3, DMat3) {
     (flux, gradient)
 }
 
-/// Whether a place is on an edge of a block, where the field has no limit.
+/// True if a point is on an edge of a block, where the field has no limit.
 pub fn is_on_edge(half: DVec3, p: DVec3) -> bool {
     let away = p.abs() - half;
     let limit = TOUCH * half.max_element();

@@ -1,4 +1,4 @@
-//! Sources of a magnetic field, mixed in any number, and the wrench on a body with magnets in it.
+//! Sources of a magnetic field, in any combination, and the wrench on a body with magnets.
 
 use super::axial::{Ring, Shell};
 use super::field_map::FieldMap;
@@ -9,94 +9,94 @@ use std::sync::Arc;
 
 /// Magnetic constant μ₀ [N/A²] (CODATA 2022).
 pub const MAGNETIC_CONSTANT: f64 = 1.256_637_061_27e-6;
-/// A point nearer to a dipole than this is in it [m].
+/// Distance below which a point is in a dipole [m].
 const DIPOLE_SIZE: f64 = 1e-6;
 
-/// What a source is, in its own frame: +z along its moment.
+/// Kind of a source, in its own frame: +z along its moment.
 #[derive(Clone)]
 pub enum Kind {
-    /// A point dipole of a moment [A·m²].
+    /// Point dipole of a moment [A·m²].
     Dipole(f64),
-    /// A cylinder magnetized along its axis, or a thin solenoid.
+    /// Cylinder magnetized along its axis, or a thin solenoid.
     Shell(Shell),
-    /// A ring magnetized along its axis: what its outer cylinder has more than its hole.
+    /// Ring magnetized along its axis: the outer cylinder minus its hole.
     Tube(Shell, Shell),
-    /// A cylinder, or a ring around a hole, magnetized across its axis, which is x.
+    /// Cylinder or ring magnetized across its axis, which is x; the second shell is the hole.
     Across(Shell, Option<Shell>),
-    /// A block of half edges [m] and a remanence [T], magnetized along its z.
+    /// Block of half edges [m] and a remanence [T], magnetized along its z.
     Block(DVec3, f64),
-    /// A ball of a radius [m] and a remanence [T].
+    /// Ball of a radius [m] and a remanence [T].
     Ball(f64, f64),
-    /// A current loop.
+    /// Current loop.
     Ring(Ring),
-    /// The same flux density [T] everywhere.
+    /// Uniform flux density [T].
     Uniform(f64),
-    /// A sampled field, times a factor.
+    /// Sampled field, times a factor.
     Map(Arc<FieldMap>, f64),
 }
 
-/// A source and where it is.
+/// Source at a pose.
 #[derive(Clone)]
 pub struct Source {
-    /// What it is.
+    /// Kind of the source.
     pub kind: Kind,
-    /// Rotation from its frame to the world.
+    /// Rotation from the source's frame to the world.
     pub rotation: DMat3,
-    /// Its place in the world [m].
+    /// Position in the world [m].
     pub position: DVec3,
-    /// Its field is this many times that of its kind.
+    /// Factor of the field.
     pub strength: f64,
-    /// Radius and half the length of a solid magnet [m]; nothing else can be where it is.
+    /// Radius and half the length of a solid magnet [m], which other bodies cannot penetrate.
     pub solid: Option<(f64, f64)>,
 }
 
-/// What is to be said about a place.
+/// Validity of a field at a point.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Place {
-    /// The field is exact there.
+    /// Exact field.
     #[default]
     Regular,
-    /// Outside a field map: the value at its edge is used.
+    /// Point outside a field map: the value at its edge is used.
     OutsideMap,
-    /// In a dipole, on a wire or on the rim of a magnet, where there is no field to give: a dipole
-    /// adds nothing, a wire or rim its field at 1e-9 of its size.
+    /// Point in a dipole, on a wire or on the rim of a magnet, where the field is undefined: a
+    /// dipole contributes zero, a wire or rim its field at 1e-9 of its size.
     Singular,
 }
 
-/// The field at a point.
+/// Magnetic field at a point.
 #[derive(Clone, Copy, Debug)]
 pub struct Field {
     /// Flux density [T].
     pub flux: DVec3,
-    /// `∂B_i/∂x_j` [T/m], row i, column j.
+    /// Gradient `∂B_i/∂x_j` [T/m], row i, column j.
     pub gradient: DMat3,
-    /// Whether it is exact.
+    /// Validity of the field.
     pub place: Place,
 }
 
-/// A magnet fixed in a body, taken as a dipole.
+/// Magnet fixed in a body, as a dipole.
 #[derive(Clone, Copy)]
 pub struct InternalMagnet {
-    /// Its place in the body's frame [m].
+    /// Position in the body's frame [m].
     pub position: DVec3,
-    /// Its moment in the body's frame [A·m²].
+    /// Moment in the body's frame [A·m²].
     pub moment: DVec3,
 }
 
-/// Force and torque on a body, and the field there.
+/// Force and torque on a body, and validity of the field there.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Wrench {
     /// Force [N], in the world.
     pub force: DVec3,
     /// Torque about the body's origin [N·m], in the world.
     pub torque: DVec3,
-    /// The worst place of its magnets.
+    /// Worst validity of the field at its magnets.
     pub place: Place,
-    /// The largest torque [N·m] that the field there has for them, the sum of |m| |B|.
+    /// Maximum torque [N·m] of the field there on them, the sum of |m| |B|.
     pub hold: f64,
 }
 
-/// A dipole's field: `B = μ₀/4π (3 (m·r̂) r̂ − m)/r³` and its gradient
+/// Field of a dipole: `B = μ₀/4π (3 (m·r̂) r̂ − m)/r³`, and its gradient
 /// `3μ₀/4πr⁴ (m r̂ᵀ + r̂ mᵀ + (m·r̂)(1 − 5 r̂ r̂ᵀ))` (Jackson 1999, eq. 5.56).
 pub fn dipole(moment: f64, p: DVec3) -> (DVec3, DMat3, Place) {
     let r2 = p.length_squared();
@@ -114,7 +114,7 @@ pub fn dipole(moment: f64, p: DVec3) -> (DVec3, DMat3, Place) {
 }
 
 impl Source {
-    /// The field of this source at a point of the world.
+    /// Field of this source at a point of the world.
     #[inline]
     pub fn field(&self, point: DVec3) -> Field {
         let p = self.rotation.transpose() * (point - self.position);
@@ -168,7 +168,7 @@ impl Source {
         Field { flux: turn * flux, gradient: turn * gradient * self.rotation.transpose(), place }
     }
 
-    /// Whether a ball about a point of the world cuts the magnet.
+    /// True if a ball about a point of the world intersects the magnet.
     pub fn cuts(&self, point: DVec3, radius: f64) -> bool {
         self.solid.is_some_and(|(around, half)| {
             let p = self.rotation.transpose() * (point - self.position);
@@ -193,7 +193,7 @@ pub fn field(sources: &[Source], point: DVec3) -> Field {
 }
 
 /// Wrench of the sources on a body at a pose: `F = ∇(m·B) = Gᵀ m` and `N = m × B + arm × F`, summed
-/// over its magnets, each at its own place. Nothing is allocated.
+/// over its magnets, each at its position. Allocates nothing.
 #[inline]
 pub fn wrench(
     sources: &[Source],

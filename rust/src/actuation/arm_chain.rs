@@ -1,4 +1,4 @@
-//! What Python holds of an arm: `vrcaps.actuation.arm`.
+//! Python handle of an arm: `vrcaps.actuation.arm`.
 
 use super::damped_least_squares::descend;
 use super::inverse_kinematics::{All, Angles, BRANCHES, Inverse, JOINTS};
@@ -10,21 +10,21 @@ use glam::DVec3;
 use numpy::{IntoPyArray, PyArrayDyn, PyReadonlyArray2, PyReadonlyArray3, ndarray::ArrayD};
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-/// Poses that one thread takes at a time.
+/// Number of poses in a chunk for one thread.
 const CHUNK: usize = 64;
 
-/// A chain of turning joints with its limits and the capsules around its links.
+/// Chain of revolute joints with limits, and capsules around its links.
 #[pyclass(module = "vrcaps._core")]
 #[derive(Clone)]
 pub struct ArmChain {
-    /// Its joints.
+    /// Joints of the arm.
     pub(super) chain: Chain,
     inverse: Option<Inverse>,
-    /// Its links.
+    /// Capsules around the links.
     pub(super) obstacles: Obstacles,
 }
 
-/// An array of a shape.
+/// Array with a shape.
 pub(super) fn array<'py>(
     py: Python<'py>,
     shape: &[usize],
@@ -34,7 +34,7 @@ pub(super) fn array<'py>(
     Ok(shaped.map_err(|error| PyValueError::new_err(error.to_string()))?.into_pyarray(py))
 }
 
-/// The pose of four rows.
+/// Pose from its four rows.
 pub(super) fn pose(m: &[f64]) -> Pose {
     let (rotation, position) = pose_of(m);
     Pose { rotation, position }
@@ -43,7 +43,7 @@ pub(super) fn pose(m: &[f64]) -> Pose {
 fn poses(array: &PyReadonlyArray3<'_, f64>) -> PyResult<Vec<Pose>> {
     let view = array.as_array();
     if view.shape()[1..] != [4, 4] {
-        return Err(PyValueError::new_err("Poses are 4 by 4."));
+        return Err(PyValueError::new_err("Poses must be 4 by 4."));
     }
     let flat: Vec<f64> = view.iter().copied().collect();
     Ok(flat.chunks_exact(16).map(pose).collect())
@@ -58,13 +58,14 @@ fn all_rows(array: Option<PyReadonlyArray2<'_, f64>>, columns: usize) -> PyResul
 }
 
 impl ArmChain {
-    /// How many joints there are.
+    /// Number of joints.
     pub(super) fn count(&self) -> usize {
         self.chain.joints.len()
     }
 
-    /// Angles within limits that put the flange at a target in the base, nearest to `near`. Without
-    /// a closed form they are what is found first step by step, from `near` and from other angles.
+    /// Joint angles within limits that place the flange at a target in the base, nearest to `near`.
+    /// Without a closed form: the first numerical solution, started from `near`, then from
+    /// `others`.
     pub(super) fn solve(&self, target: &Pose, near: &[f64], others: &[f64]) -> Option<Vec<f64>> {
         if let Some(solver) = &self.inverse {
             return solver.nearest(target, &angles(near)).map(Vec::from);
@@ -81,9 +82,9 @@ impl ArmChain {
 
 #[pymethods]
 impl ArmChain {
-    /// Joints as rows of a, d, α, θ, least and largest angle; the flange's pose in the last; links
-    /// as rows of frame, both ends and radius; pairs of them to compare; fixed poses [n 4 4] in the
-    /// frame before each joint from which its parameters start.
+    /// Arm from joints, as rows of a, d, α, θ, minimum and maximum angle; the flange's pose in the
+    /// last joint; links, as rows of frame, both ends and radius; pairs of links to compare; fixed
+    /// poses [n 4 4] in the frame before each joint from which its parameters start.
     #[new]
     #[pyo3(signature = (joints, flange, links, pairs, placements=None))]
     fn new(
@@ -112,19 +113,19 @@ impl ArmChain {
         };
         let capsules: Vec<_> = links.chunks_exact(8).map(link).collect();
         if chain.joints.is_empty() {
-            return Err(PyValueError::new_err("An arm has one joint or more."));
+            return Err(PyValueError::new_err("An arm needs at least one joint."));
         }
         let most = chain.joints.len() + 1;
         if capsules.iter().any(|c| c.frame > most)
             || pairs.iter().any(|&(i, j)| i.max(j) >= capsules.len())
         {
-            return Err(PyValueError::new_err("A link or pair names what is not there."));
+            return Err(PyValueError::new_err("A link or pair has an index out of range."));
         }
         let obstacles = Obstacles { capsules, pairs, table: None };
         Ok(ArmChain { inverse: Inverse::new(&chain), chain, obstacles })
     }
 
-    /// Whether the arm is built so that its inverse has a closed form here.
+    /// True if the arm's geometry permits the closed-form inverse of this module.
     #[getter]
     fn has_closed_form(&self) -> bool {
         self.inverse.is_some()
@@ -165,7 +166,7 @@ impl ArmChain {
         array(py, &[angles.len() / n, 6, n], flat)
     }
 
-    /// All branches [k 8 7] within limits for targets [k 4 4] and last angles [k]; the rest is NaN.
+    /// All branches [k 8 7] within limits for targets [k 4 4] and last angles [k], padded by NaN.
     fn inverse<'py>(
         &self,
         py: Python<'py>,
@@ -175,7 +176,7 @@ impl ArmChain {
         let solver = self.closed_form()?;
         let targets = poses(&targets)?;
         if targets.len() != last.len() {
-            return Err(PyValueError::new_err("One last angle a target is needed."));
+            return Err(PyValueError::new_err("One last angle per target is needed."));
         }
         let mut flat = Vec::with_capacity(targets.len() * BRANCHES * JOINTS);
         for (target, &q7) in targets.iter().zip(&last) {
@@ -187,8 +188,8 @@ impl ArmChain {
         array(py, &[targets.len(), BRANCHES, JOINTS], flat)
     }
 
-    /// Angles [k n] nearest to `near` [k n] for each target [k 4 4]; NaN where there are none. An arm
-    /// without a closed form starts from `near`, then from other angles [m n].
+    /// Joint angles [k n] nearest to `near` [k n] for each target [k 4 4]; NaN without a solution.
+    /// An arm without a closed form starts from `near`, then from other angles [m n].
     #[pyo3(signature = (targets, near, others=None))]
     fn nearest<'py>(
         &self,
@@ -200,7 +201,7 @@ impl ArmChain {
         let n = self.count();
         let (targets, near, others) = (poses(&targets)?, rows(&near, n)?, all_rows(others, n)?);
         if targets.len() * n != near.len() {
-            return Err(PyValueError::new_err("One start a target is needed."));
+            return Err(PyValueError::new_err("One start per target is needed."));
         }
         let each: Vec<(&Pose, &[f64])> = targets.iter().zip(near.chunks_exact(n)).collect();
         let solved = map(py, &each, CHUNK, |(target, near)| {
@@ -209,8 +210,8 @@ impl ArmChain {
         array(py, &[targets.len(), n], solved.concat())
     }
 
-    /// Angles [k n] along a path of targets [k 4 4]: each nearest to those before; from the first
-    /// pose without a solution on NaN.
+    /// Joint angles [k n] along a path of targets [k 4 4]: each nearest to the previous ones; NaN
+    /// from the first pose without a solution.
     #[pyo3(signature = (targets, start, others=None))]
     fn follow<'py>(
         &self,
@@ -222,7 +223,7 @@ impl ArmChain {
         let n = self.count();
         let (targets, others) = (poses(&targets)?, all_rows(others, n)?);
         if start.len() != n {
-            return Err(PyValueError::new_err("One angle a joint is needed."));
+            return Err(PyValueError::new_err("One angle per joint is needed."));
         }
         let mut at = Some(start);
         let mut flat = Vec::with_capacity(targets.len() * n);
@@ -233,8 +234,8 @@ impl ArmChain {
         array(py, &[targets.len(), n], flat)
     }
 
-    /// Least distances [k 2] between its own links and to a table (a point of it and the normal out
-    /// of it, in the base), for angles [k n].
+    /// Minimum distances [k 2] between the arm's own links, and to a table (a point on it and its
+    /// outward normal, in the base), for angles [k n].
     #[pyo3(signature = (angles, table=None))]
     fn clearance<'py>(
         &self,

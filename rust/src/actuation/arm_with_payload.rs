@@ -1,4 +1,4 @@
-//! An arm with a magnet at its flange, beside a table: `vrcaps.actuation.arm.arm_with_payload`.
+//! Arm with a magnet at its flange, above a table: `vrcaps.actuation.arm.arm_with_payload`.
 
 use super::arm_chain::{ArmChain, array, pose};
 use super::kinematic_chain::Pose;
@@ -8,13 +8,13 @@ use glam::DVec3;
 use numpy::{PyArrayDyn, PyReadonlyArray2};
 use pyo3::prelude::*;
 
-/// What Python holds of it.
+/// Python handle of the arm and its magnet.
 #[pyclass(module = "vrcaps._core")]
 #[derive(Clone)]
 pub struct ArmWithPayload {
-    /// The arm, with a capsule that holds the magnet.
+    /// Arm, with a capsule that holds the magnet.
     pub arm: ArmChain,
-    /// The links alone, which keep off the table: against it the magnet is a cylinder.
+    /// Links alone, for the distance to the table: relative to it, the magnet is a cylinder.
     bare: Obstacles,
     /// Pose of the base in the world, and of the magnet in the flange.
     base: Pose,
@@ -36,13 +36,13 @@ impl ArmWithPayload {
         self.mount.inverse().rotation.z_axis
     }
 
-    /// Angles nearest to `near` that put the magnet at a pose in the world, see `ArmChain::solve`.
+    /// Joint angles nearest to `near` for a pose of the magnet in the world, see `ArmChain::solve`.
     pub fn solve(&self, magnet: &Pose, near: &[f64], others: &[f64]) -> Option<Vec<f64>> {
         let flange = self.base.inverse().then(magnet).then(&self.mount.inverse());
         self.arm.solve(&flange, near, others)
     }
 
-    /// Least distances [m] of links and magnet to each other, and to the table.
+    /// Minimum distances [m] of links and magnet to each other, and to the table.
     pub fn gaps(&self, frames: &[Pose]) -> (f64, f64) {
         let own = self.arm.obstacles.clearance(frames).0;
         let Some(table) = self.table else { return (own, f64::INFINITY) };
@@ -60,8 +60,9 @@ impl ArmWithPayload {
 
 #[pymethods]
 impl ArmWithPayload {
-    /// An arm alone and with a capsule for the magnet, the poses [4 4] of its base in the world and
-    /// of the magnet in the flange, the magnet's diameter and length [m], the table's height [m].
+    /// Arm with a payload, from the arm alone and with a capsule for the magnet, the poses [4 4] of
+    /// its base in the world and of the magnet in the flange, the magnet's diameter and length [m],
+    /// the table's height [m].
     #[new]
     fn new(
         arm: PyRef<'_, ArmChain>,
@@ -79,7 +80,8 @@ impl ArmWithPayload {
         Ok(ArmWithPayload { arm: loaded.clone(), bare, base, mount, size, table })
     }
 
-    /// Least distances [k 2] of links and magnet to each other, and to the table, for angles [k n].
+    /// Minimum distances [k 2] of links and magnet to each other, and to the table, for angles [k
+    /// n].
     fn clearance<'py>(
         &self,
         py: Python<'py>,

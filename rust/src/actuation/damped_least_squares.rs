@@ -1,19 +1,19 @@
-//! Inverse kinematics of any arm, step by step: damped least squares (Wampler 1986).
+//! Numerical inverse kinematics of any arm: damped least squares (Wampler 1986).
 
 use super::kinematic_chain::{Chain, Pose};
 use super::rotation::rotation_vector;
 use crate::world::solve::{Symmetric6, Twist};
 
-/// Largest damping; nearer to the target it is the distance that is left.
+/// Maximum damping; near the target, the damping is the remaining distance.
 const DAMPING: f64 = 1e-2;
-/// Most steps.
+/// Maximum number of iterations.
 const STEPS: usize = 200;
-/// Most that a joint turns in a step [rad].
+/// Maximum rotation of a joint per iteration [rad].
 const LONGEST_STEP: f64 = 0.3;
-/// A pose this near to the target is there [m and rad].
+/// Tolerance of the pose [m and rad].
 const LANDED: f64 = 1e-10;
 
-/// Way [m] and turn [rad] from one pose to another.
+/// Displacement [m] and rotation [rad] from one pose to another.
 fn twist(from: &Pose, to: &Pose) -> [f64; 6] {
     let angular = rotation_vector(to.rotation * from.rotation.transpose());
     Twist { linear: to.position - from.position, angular }.to_array()
@@ -23,7 +23,7 @@ fn dot(a: &[f64; 6], b: &[f64; 6]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// Angles within limits that put the flange at a target in the base, from a start on.
+/// Joint angles within limits that place the flange at a target in the base, iterated from `start`.
 pub fn descend(chain: &Chain, target: &Pose, start: &[f64]) -> Option<Vec<f64>> {
     let within = |(angle, joint): (f64, usize)| {
         let (low, high) = chain.joints[joint].limits;

@@ -1,5 +1,6 @@
-//! Closed-form inverse kinematics of arms built like the Franka Emika Panda, with the last joint's
-//! angle as the free parameter; derived from the geometry as He and Liu (ICCMA 2021) propose.
+//! Closed-form inverse kinematics of arms with the geometry of the Franka Emika Panda, with the
+//! last joint's angle as the free parameter; derived from the geometry as He and Liu (ICCMA 2021)
+//! propose.
 //!
 //! The axes of joints 1 to 3 meet in the shoulder S, those of 5 and 6 in the wrist W. Given q7, the
 //! frame of joint 6 is known, and with it W. Shoulder, elbow and wrist are a triangle of known
@@ -11,29 +12,29 @@ use super::kinematic_chain::{Chain, Pose};
 use glam::{DMat3, DVec2, DVec3};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-/// Joints of such an arm.
+/// Number of joints of such an arm.
 pub const JOINTS: usize = 7;
-/// Most branches for one q7.
+/// Maximum number of branches for one q7.
 pub const BRANCHES: usize = 8;
 /// Angles of the seven joints [rad].
 pub type Angles = [f64; JOINTS];
 
-/// How far the limits may be missed by rounding [rad].
+/// Tolerance of the joint limits for rounding [rad].
 const SLACK: f64 = 1e-12;
-/// A cosine that passes 1 by less is rounding.
+/// Tolerance for rounding of a cosine beyond 1.
 const ROUNDING: f64 = 1e-13;
-/// A sine below this is no direction.
+/// Sine below which a direction is undefined.
 const PARALLEL: f64 = 1e-9;
-/// Angles q7 to either side in the first search, and in the finest; closer where they are near.
+/// Numbers of angles q7 on either side, in the first and the finest search; denser near the start.
 const SEARCH: (usize, usize) = (32, 512);
-/// A solution this near to where the arm is counts as the nearest [rad, Euclidean].
+/// Distance below which a solution counts as the nearest to the current angles [rad, Euclidean].
 const NEIGHBOR: f64 = 0.25;
-/// Steps along the self-motion towards the nearest solution.
+/// Maximum number of steps along the self-motion towards the nearest solution.
 const REFINE: usize = 40;
-/// A step that shortens the squared distance by less than this part of it is the last.
+/// Relative decrease of the squared distance below which the steps end.
 const CONVERGED: f64 = 1e-6;
 
-/// Lengths of an arm of this build.
+/// Lengths of an arm with this geometry.
 #[derive(Clone, Debug)]
 pub struct Inverse {
     d1: f64,
@@ -48,13 +49,13 @@ pub struct Inverse {
     chain: Chain,
 }
 
-/// What takes the branches that are found.
+/// Receiver of branches.
 pub trait Branches {
-    /// Angles they are compared with; q1 is taken from them where it is free.
+    /// Angles that branches are compared with; they set q1 if it is free.
     fn near(&self) -> &Angles;
-    /// Squared distance from `near` at which a branch is not wanted.
+    /// Squared distance from `near` beyond which branches are rejected.
     fn bound2(&self) -> f64;
-    /// Takes one.
+    /// Adds a branch.
     fn push(&mut self, angles: Angles);
 }
 
@@ -63,7 +64,7 @@ pub trait Branches {
 pub struct All {
     /// Joint angles.
     pub angles: [Angles; BRANCHES],
-    /// How many are filled in.
+    /// Number of branches.
     pub count: usize,
 }
 
@@ -80,7 +81,7 @@ impl Branches for All {
     }
 }
 
-/// The branch nearest to some angles.
+/// Branch nearest to given angles.
 #[derive(Clone, Copy)]
 struct Nearest<'a> {
     near: &'a Angles,
@@ -122,7 +123,7 @@ fn distance2(a: &Angles, b: &Angles) -> f64 {
 }
 
 impl Inverse {
-    /// The solver of a chain, or None if it is not built like this.
+    /// Solver of a chain, or `None` if its geometry differs.
     pub fn new(chain: &Chain) -> Option<Self> {
         let j = &chain.joints;
         if j.len() != JOINTS || j.iter().any(|joint| joint.placement.is_some()) {
@@ -148,7 +149,7 @@ impl Inverse {
         })
     }
 
-    /// `angle` turned by whole turns into the limits of a joint, if it can be.
+    /// `angle` plus whole turns, within the limits of a joint if possible.
     #[inline]
     fn within(&self, joint: usize, angle: f64) -> Option<f64> {
         let (low, high) = self.chain.joints[joint].limits;
@@ -162,8 +163,8 @@ impl Inverse {
         (angle <= high + SLACK).then(|| angle.clamp(low, high))
     }
 
-    /// The branches within limits that put the flange at `target` (in the base) with the last
-    /// joint at `q7`, into `found`. Where the shoulder is straight q1 is free.
+    /// Adds to `found` the branches within limits that place the flange at `target` (in the base)
+    /// with the last joint at `q7`. If the shoulder is straight, q1 is free.
     pub fn solve(&self, target: &Pose, q7: f64, found: &mut impl Branches) {
         let (low, high) = self.chain.joints[6].limits;
         if !(low..=high).contains(&q7) {
@@ -186,7 +187,7 @@ impl Inverse {
         }
     }
 
-    /// Both directions of the forearm for one q4.
+    /// Solves both directions of the forearm for one q4.
     fn solve_elbow(
         &self,
         six: &Pose,
@@ -194,7 +195,7 @@ impl Inverse {
         [q4, q7]: [f64; 2],
         found: &mut impl Branches,
     ) {
-        // Shoulder from the wrist, in the elbow's frame; there the forearm is the y axis.
+        // Shoulder from the wrist, in the elbow's frame, whose y axis is the forearm.
         if square(q4 - found.near()[3]) + square(q7 - found.near()[6]) >= found.bound2() {
             return;
         }
@@ -223,7 +224,7 @@ impl Inverse {
         }
     }
 
-    /// q5, q6 and both shoulders, given the elbow's frame.
+    /// Solves q5, q6 and both shoulders, given the elbow's frame.
     fn solve_ends(&self, six: &Pose, elbow: &DMat3, [q4, q7]: [f64; 2], found: &mut impl Branches) {
         let z6 = six.rotation.z_axis;
         let near = *found.near();
@@ -240,7 +241,7 @@ impl Inverse {
         if so_far + square(q6 - near[5]) >= found.bound2() {
             return;
         }
-        // The upper arm's frame: R_03 = R_04 (Rot_x(π/2) Rot_z(q4))ᵀ.
+        // Frame of the upper arm: R_03 = R_04 (Rot_x(π/2) Rot_z(q4))ᵀ.
         let (s, c) = q4.sin_cos();
         let x3 = elbow.x_axis * c - elbow.y_axis * s;
         let z3 = elbow.x_axis * s + elbow.y_axis * c;
@@ -259,11 +260,11 @@ impl Inverse {
         }
     }
 
-    /// The solution nearest to `near` (Euclidean in the joint angles) over all branches and all q7.
+    /// Solution nearest to `near` (Euclidean in the joint angles) over all branches and all q7.
     ///
-    /// First with q7 as it is in `near`: a solution within `NEIGHBOR` of `near` ends the search.
-    /// Then on a grid of q7, outwards from that of `near`, made finer until one is found. At last by
-    /// steps along the arm's self-motion.
+    /// The first search keeps q7 of `near`: a solution within `NEIGHBOR` of `near` ends it. The
+    /// second is on a grid of q7, outwards from that of `near`, refined until a solution exists.
+    /// Steps along the arm's self-motion refine the result.
     pub fn nearest(&self, target: &Pose, near: &Angles) -> Option<Angles> {
         let (low, high) = self.chain.joints[6].limits;
         let start = near[6].clamp(low, high);
@@ -293,7 +294,7 @@ impl Inverse {
         search.found().map(|best| self.refine(target, best, near))
     }
 
-    /// Newton's steps of q7 along the self-motion towards the point nearest to `near`.
+    /// Newton iterations of q7 along the self-motion towards the point nearest to `near`.
     fn refine(&self, target: &Pose, start: Angles, near: &Angles) -> Angles {
         let (low, high) = self.chain.joints[6].limits;
         let mut best = Nearest { near, best: start, bound2: distance2(&start, near) };
@@ -318,7 +319,7 @@ impl Inverse {
         best.best
     }
 
-    /// Change of q7 to the point of the tangent of the self-motion that is nearest to `near`.
+    /// Change of q7 to the point on the tangent of the self-motion that is nearest to `near`.
     fn self_motion_step(&self, at: &Angles, near: &Angles) -> f64 {
         let motion = self.self_motion(at);
         let square: f64 = motion.iter().map(|m| m * m).sum();
@@ -326,7 +327,7 @@ impl Inverse {
         if square > 0.0 { motion[6] * along / square } else { 0.0 }
     }
 
-    /// Joint speeds that leave the flange where it is: the null vector of the Jacobian.
+    /// Joint velocities that keep the flange fixed: the null vector of the Jacobian.
     fn self_motion(&self, at: &Angles) -> Angles {
         let mut pose = Pose { rotation: DMat3::IDENTITY, position: DVec3::ZERO };
         let mut rows = [[0.0; JOINTS]; 6];
@@ -342,7 +343,7 @@ impl Inverse {
     }
 }
 
-/// A vector that six rows of seven numbers map to zero, by elimination with full pivoting.
+/// Null vector of six rows of seven numbers, by elimination with full pivoting.
 fn null_vector(mut rows: [[f64; JOINTS]; 6]) -> Angles {
     let mut order: [usize; JOINTS] = std::array::from_fn(|i| i);
     for k in 0..6 {

@@ -1,9 +1,9 @@
-//! A chain of turning joints by Denavit and Hartenberg's parameters, in Craig's convention.
+//! Chain of revolute joints by Denavit-Hartenberg parameters, in Craig's convention.
 
 use crate::poses::pose_rows;
 use glam::{DMat3, DVec3};
 
-/// A rigid pose: p ↦ rotation p + position.
+/// Rigid pose: p ↦ rotation p + position.
 #[derive(Clone, Copy, Debug)]
 pub struct Pose {
     /// Rotation to the outer frame.
@@ -13,7 +13,7 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// The pose of a frame within this one.
+    /// Composition with a pose in this frame.
     #[inline]
     pub fn then(&self, inner: &Pose) -> Pose {
         Pose {
@@ -22,33 +22,32 @@ impl Pose {
         }
     }
 
-    /// Its four rows.
+    /// Rows of the 4 × 4 matrix.
     pub fn rows(&self) -> [f64; 16] {
         pose_rows(&self.rotation, self.position)
     }
 
-    /// The inverse pose.
+    /// Inverse pose.
     pub fn inverse(&self) -> Pose {
         let rotation = self.rotation.transpose();
         Pose { rotation, position: -(rotation * self.position) }
     }
 }
 
-/// One joint: `T = Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d)` from the frame before it, or from a fixed
-/// pose in that frame.
+/// Length of the previous link [m].
 #[derive(Clone, Copy, Debug)]
 pub struct Joint {
     /// Length of the link before it [m].
     pub a: f64,
     /// Offset along the joint's axis [m].
     pub d: f64,
-    /// Twist of the link before it [rad].
+    /// Twist of the previous link [rad].
     pub alpha: f64,
-    /// Angle of the joint at its zero [rad].
+    /// Angle offset of the joint [rad].
     pub theta: f64,
-    /// Least and largest angle [rad].
+    /// Minimum and maximum angle [rad].
     pub limits: (f64, f64),
-    /// Fixed pose in the frame before it that these parameters start from, if any.
+    /// Fixed pose in the previous frame from which these parameters start, if any.
     pub placement: Option<Pose>,
     sin_alpha: f64,
     cos_alpha: f64,
@@ -65,13 +64,13 @@ fn sin_cos(angle: f64) -> (f64, f64) {
 }
 
 impl Joint {
-    /// A joint with its parameters.
+    /// Joint with its parameters.
     pub fn new(a: f64, d: f64, alpha: f64, theta: f64, limits: (f64, f64)) -> Self {
         let (sin_alpha, cos_alpha) = sin_cos(alpha);
         Joint { a, d, alpha, theta, limits, placement: None, sin_alpha, cos_alpha }
     }
 
-    /// Pose of the joint's frame in the frame before it.
+    /// Pose of the joint's frame in the previous frame.
     #[inline]
     pub fn pose(&self, angle: f64) -> Pose {
         let (s, c) = (angle + self.theta).sin_cos();
@@ -88,17 +87,17 @@ impl Joint {
     }
 }
 
-/// An arm: its joints, then the flange.
+/// Arm: its joints, then the flange.
 #[derive(Clone, Debug)]
 pub struct Chain {
-    /// Joints from the base on.
+    /// Joints, from the base.
     pub joints: Vec<Joint>,
     /// Pose of the flange in the last joint's frame.
     pub flange: Pose,
 }
 
 impl Chain {
-    /// Poses of all joints' frames and of the flange in the base, in `out`.
+    /// Writes the poses of all joint frames and of the flange in the base to `out`.
     pub fn frames(&self, angles: &[f64], out: &mut Vec<Pose>) {
         out.clear();
         let mut pose = Pose { rotation: DMat3::IDENTITY, position: DVec3::ZERO };
@@ -109,8 +108,8 @@ impl Chain {
         out.push(pose.then(&self.flange));
     }
 
-    /// Velocity of the flange's origin and its angular velocity, in the base, per joint speed:
-    /// six rows, one column a joint, column by column.
+    /// Jacobian in the base: velocity of the flange's origin and angular velocity per joint
+    /// velocity; six rows, one column per joint, stored by columns.
     pub fn jacobian(&self, frames: &[Pose], out: &mut Vec<[f64; 6]>) {
         out.clear();
         let end = frames[frames.len() - 1].position;

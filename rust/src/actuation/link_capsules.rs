@@ -1,9 +1,9 @@
-//! Collision of an arm with itself and with a table: each link is a few capsules.
+//! Collision of an arm with itself and with a table; each link is a set of capsules.
 
 use super::kinematic_chain::Pose;
 use glam::DVec3;
 
-/// A line segment with a radius, fixed to a frame of the arm.
+/// Line segment with a radius, fixed to a frame of the arm.
 #[derive(Clone, Copy, Debug)]
 pub struct LinkCapsule {
     /// Frame: 0 is the base, then the joints, last the flange.
@@ -19,13 +19,13 @@ pub struct LinkCapsule {
 pub struct Obstacles {
     /// Capsules of all links.
     pub capsules: Vec<LinkCapsule>,
-    /// Numbers of two capsules that must not touch.
+    /// Indices of pairs of capsules that must not collide.
     pub pairs: Vec<(usize, usize)>,
-    /// Table: a point of it and the unit normal out of it, in the base, or none.
+    /// Table: a point on it and its outward unit normal, in the base, or `None`.
     pub table: Option<(DVec3, DVec3)>,
 }
 
-/// Squared distance of two segments (Ericson 2004, Real-Time Collision Detection, 5.1.9).
+/// Squared distance between two segments (Ericson 2004, Real-Time Collision Detection, 5.1.9).
 fn segment_distance2([p1, q1]: [DVec3; 2], [p2, q2]: [DVec3; 2]) -> f64 {
     let (d1, d2, r) = (q1 - p1, q2 - p2, p1 - p2);
     let (a, e, f) = (d1.length_squared(), d2.length_squared(), d2.dot(r));
@@ -43,8 +43,8 @@ fn segment_distance2([p1, q1]: [DVec3; 2], [p2, q2]: [DVec3; 2]) -> f64 {
 }
 
 impl Obstacles {
-    /// Least distance [m] between the links of a pair, and of a link to the table; below 0 where
-    /// they cut. Links on the base do not count against the table.
+    /// Minimum distance [m] between the links of a pair, and of a link to the table; negative if
+    /// they intersect. Links on the base are not compared with the table.
     pub fn clearance(&self, frames: &[Pose]) -> (f64, f64) {
         let placed = |capsule: &LinkCapsule| {
             if capsule.frame == 0 {

@@ -1,4 +1,4 @@
-//! Inverse magnetic actuation: the magnet pose that exerts a wanted wrench on a capsule:
+//! Inverse magnetic actuation: the magnet pose that exerts a given wrench on a capsule:
 //! `vrcaps.actuation.magnet_pose_solver`.
 
 use super::arm_chain::array;
@@ -10,20 +10,20 @@ use glam::{DMat3, DQuat, DVec3};
 use numpy::{PyArrayDyn, PyReadonlyArray2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-/// Step of the central differences, in distances and radians.
+/// Step of the central differences, in units of the distance and in radians.
 const DIFFERENCE: f64 = 1e-5;
-/// Longest step, in distances and radians.
+/// Maximum step, in units of the distance and in radians.
 const MAX_STEP: f64 = 0.25;
-/// Ends when a step is shorter, in distances and radians.
+/// Step below which the iteration ends, in units of the distance and in radians.
 const CONVERGED: f64 = 1e-7;
-/// Damping at first, and its bounds.
+/// Initial damping, and its bounds.
 const DAMPING: f64 = 1e-3;
 const MIN_DAMPING: f64 = 1e-9;
 const MAX_DAMPING: f64 = 1e6;
-/// Residuals: force, torque, and what the pose has changed.
+/// Number of residuals: force, torque, and change of pose.
 const RESIDUALS: usize = 12;
 
-/// `vrcaps.actuation.magnet_pose_solver.WrenchTarget`.
+/// Target of the solver: `vrcaps.actuation.magnet_pose_solver.WrenchTarget`.
 #[derive(FromPyObject)]
 pub struct WrenchTarget {
     /// Force [N] in the world.
@@ -34,21 +34,22 @@ pub struct WrenchTarget {
     force_weight: [[f64; 3]; 3],
     /// Weight of the torque error [1/(N·m)].
     torque_weight: f64,
-    /// Weight of moving the magnet by its distance to the capsule, or turning it by a radian.
+    /// Weight of a displacement of the magnet by its distance to the capsule, or a rotation by a
+    /// radian.
     motion_weight: f64,
 }
 
-/// `vrcaps.actuation.magnet_pose_solver.Workspace`.
+/// Limits of the magnet: `vrcaps.actuation.magnet_pose_solver.Workspace`.
 #[derive(FromPyObject)]
 pub struct Workspace {
     /// Corners of the box for the magnet's center [m].
     low: [f64; 3],
     high: [f64; 3],
-    /// Least distance from the capsule [m].
+    /// Minimum distance from the capsule [m].
     min_distance: f64,
 }
 
-/// A problem to solve: the magnet that moves, all that stays.
+/// Problem to solve: the magnet that moves, and all constants.
 struct Problem<'a> {
     target: &'a WrenchTarget,
     workspace: &'a Workspace,
@@ -59,11 +60,11 @@ struct Problem<'a> {
     /// Wrench of the other sources.
     others: Wrench,
     start: (DVec3, DMat3),
-    /// Distance by which changes of place are measured [m].
+    /// Distance that scales changes of position [m].
     scale: f64,
 }
 
-/// Force, torque, and the residuals of a pose.
+/// Force, torque and residuals of a pose.
 struct Trial {
     wrench: Wrench,
     residuals: [f64; RESIDUALS],
@@ -106,7 +107,7 @@ impl Problem<'_> {
         Trial { wrench, residuals, cost: residuals.iter().map(|r| r * r).sum() }
     }
 
-    /// Into the box, and away from the capsule.
+    /// Clamps a pose to the box, and away from the capsule.
     fn clamp(&self, (position, rotation): (DVec3, DMat3)) -> (DVec3, DMat3) {
         let (low, high) = (DVec3::from(self.workspace.low), DVec3::from(self.workspace.high));
         let mut place = position.clamp(low, high);
@@ -119,8 +120,8 @@ impl Problem<'_> {
         (place, rotation)
     }
 
-    /// Slopes of the residuals by place and by turns about the magnet's x and y; the turn about its
-    /// axis changes nothing.
+    /// Jacobian of the residuals by position and by rotations about the magnet's x and y; rotation
+    /// about its axis has no effect.
     fn slopes(&self, source: &mut Source, pose: (DVec3, DMat3)) -> [[f64; RESIDUALS]; 6] {
         let mut slopes = [[0.0; RESIDUALS]; 6];
         for (k, slope) in slopes.iter_mut().enumerate().take(5) {
@@ -137,8 +138,7 @@ impl Problem<'_> {
         slopes
     }
 
-    /// Levenberg and Marquardt's method within the box; a coordinate at its bound that would leave
-    /// is held there.
+    /// Levenberg-Marquardt method within the box; coordinates that would leave it are fixed at it.
     fn solve(&self, source: &mut Source, max_iterations: usize) -> ((DVec3, DMat3), Trial) {
         let mut pose = self.clamp(self.start);
         let mut best = self.evaluate(source, pose);
@@ -188,7 +188,7 @@ impl Problem<'_> {
     }
 }
 
-/// Change of pose that the slopes and a damping give, no longer than `MAX_STEP`.
+/// Change of pose from the Jacobian and a damping, at most `MAX_STEP`.
 fn step(slopes: &[[f64; RESIDUALS]; 6], residuals: &[f64; RESIDUALS], damping: f64) -> [f64; 6] {
     let dot = |a: &[f64; RESIDUALS], b: &[f64; RESIDUALS]| -> f64 {
         a.iter().zip(b).map(|(a, b)| a * b).sum()
@@ -213,11 +213,11 @@ fn dot6(a: &[f64; 6]) -> f64 {
     a.iter().map(|a| a * a).sum()
 }
 
-/// Pose [4 4] of a source, force [N], torque [N·m], largest torque that the field has [N·m].
+/// Pose [4 4] of a source, force [N], torque [N·m], maximum torque of the field [N·m].
 type Solution<'py> = (Bound<'py, PyArrayDyn<f64>>, [f64; 3], [f64; 3], f64);
 
-/// Pose of source `index`, near where it is, with which all sources give a body at a pose [4 4] with
-/// magnets [k 6] the wanted wrench as nearly as they can.
+/// Pose of source `index`, near its current one, with which all sources exert the target wrench, as
+/// closely as possible, on a body at a pose [4 4] with magnets [k 6].
 #[pyfunction]
 #[allow(clippy::too_many_arguments)]
 pub fn solve_magnet_pose<'py>(
@@ -237,7 +237,7 @@ pub fn solve_magnet_pose<'py>(
     let rotation = DQuat::from_mat3(&turn);
     let mut others = sources.sources.clone();
     if index >= others.len() {
-        return Err(PyValueError::new_err(format!("No source {index}: {}.", others.len())));
+        return Err(PyValueError::new_err(format!("No source {index} of {}.", others.len())));
     }
     let mut source = others.remove(index);
     let problem = Problem {

@@ -1,5 +1,5 @@
 //! Magnetic actuation: the pose of a magnet for a wrench, the reference that a capsule follows, and
-//! the kinematics of the robot arm that carries a magnet. In double precision and in SI.
+//! the kinematics of the robot arm that carries a magnet. In double precision and SI units.
 
 pub mod arm_chain;
 pub mod arm_with_payload;

@@ -1,4 +1,4 @@
-//! The reference that a capsule follows: `vrcaps.actuation.magnet_controller`.
+//! Reference that a capsule follows: `vrcaps.actuation.magnet_controller`.
 
 use super::rotation::{rotate, towards};
 use crate::poses::{pose_rows, read_pose, three_rows};
@@ -6,16 +6,16 @@ use glam::{DMat3, DVec3};
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2, ndarray::arr2};
 use pyo3::prelude::*;
 
-/// Time in which it comes after the capsule where that is not controlled, and after the wall [s].
+/// Time constant at which it follows the capsule in uncontrolled directions, and the wall [s].
 const TIME_CONSTANT: f64 = 0.5;
-/// Sine of an angle below which a direction along the wall's normal cannot be made level.
+/// Sine of an angle below which a direction along the wall's normal cannot be made parallel to it.
 const STEEP: f64 = 0.1;
-/// Force of the wall that counts as a touch [N].
+/// Force of the wall that counts as contact [N].
 const CONTACT_FORCE: f64 = 0.01;
-/// A sine below this says no axis.
+/// Sine below which an axis is undefined.
 const PARALLEL: f64 = 1e-12;
 
-/// `vrcaps.actuation.capsule_target.CapsuleTarget`.
+/// Target of the capsule: `vrcaps.actuation.capsule_target.CapsuleTarget`.
 #[derive(FromPyObject)]
 pub struct CapsuleTarget {
     position: [f64; 3],
@@ -26,8 +26,8 @@ pub struct CapsuleTarget {
     on_planned_wall: bool,
 }
 
-/// Of `vrcaps.actuation.magnet_controller.ControllerGains`: largest speeds [m/s, rad/s] of the reference
-/// and its largest distances [m, rad] ahead of the capsule.
+/// Limits of `vrcaps.actuation.magnet_controller.ControllerGains`: maximum speeds [m/s, rad/s] of
+/// the reference and its maximum distances [m, rad] from the capsule.
 #[derive(FromPyObject)]
 pub struct ReferenceLimits {
     speed: f64,
@@ -40,14 +40,14 @@ pub struct ReferenceLimits {
 struct Reference {
     /// Position [m].
     position: DVec3,
-    /// Direction of the look.
+    /// Viewing direction.
     direction: DVec3,
-    /// Outward normal of the wall that the capsule lies on.
+    /// Outward normal of the wall under the capsule.
     wall_normal: DVec3,
 }
 
 impl CapsuleTarget {
-    /// The part of a vector in the directions in which the position is controlled.
+    /// Component of a vector in the directions in which the position is controlled.
     fn along_controlled_axes(&self, v: DVec3) -> DVec3 {
         let part = |axis: DVec3| axis * axis.dot(v);
         self.tangent
@@ -56,8 +56,8 @@ impl CapsuleTarget {
 }
 
 impl Reference {
-    /// The position a time `dt` [s] later: within its speed, and within the lookahead of the capsule
-    /// at `at`.
+    /// Position after a time `dt` [s]: limited by its speed, and by the lookahead distance from the
+    /// capsule at `at`.
     fn position_after(
         &self,
         at: DVec3,
@@ -67,10 +67,11 @@ impl Reference {
     ) -> DVec3 {
         let off = self.position - at;
         let lag = target.along_controlled_axes(off);
-        // In other directions it follows the capsule slowly: at once would undo the field's stiffness.
+        // Slow in other directions: following the capsule at once would cancel the field's
+        // stiffness.
         let across = (off - lag)
             * if target.on_planned_wall { 1.0 } else { 1.0 - (dt / TIME_CONSTANT).min(1.0) };
-        // It follows a sliding capsule at its own speed only: the field brings the capsule back.
+        // It follows a sliding capsule at its own speed only: the field moves the capsule back.
         let most = s.speed * dt;
         let back = (lag - lag.clamp_length_max(s.lookahead)).clamp_length_max(most);
         let place = at + lag - back + across;
@@ -80,7 +81,7 @@ impl Reference {
                 .clamp_length_max(most)
     }
 
-    /// The direction a time `dt` [s] later, of a capsule that looks along `axis`.
+    /// Direction after a time `dt` [s], for a capsule that looks along `axis`.
     fn direction_after(
         &self,
         axis: DVec3,
@@ -97,7 +98,7 @@ impl Reference {
         towards(led, ahead, s.angular_speed * dt, about)
     }
 
-    /// The wall normal a time `dt` [s] later: that of the contact, or the target's without contact.
+    /// Wall normal after a time `dt` [s]: that of the contact, or the target's without contact.
     fn wall_normal_after(&self, contact: DVec3, target: &CapsuleTarget, dt: f64) -> DVec3 {
         let felt = contact.length() > CONTACT_FORCE && !target.on_planned_wall;
         let contact_normal = if felt { -contact.normalize() } else { target.wall_normal.into() };
@@ -106,9 +107,9 @@ impl Reference {
     }
 }
 
-/// The reference [3 3]; the pose [4 4] of a capsule at the reference; the position error in the
-/// controlled directions [m], the rotation axis by its sine and the angle [rad] to the reference;
-/// whether the contact force is on the wrong wall.
+/// Reference [3 3]; pose [4 4] of a capsule at the reference; position error in the controlled
+/// directions [m]; rotation axis times its sine and angle [rad] to the reference; true if the
+/// contact force is on the wrong wall.
 type Advanced<'py> = (
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray2<f64>>,
@@ -118,7 +119,7 @@ type Advanced<'py> = (
     bool,
 );
 
-/// Moves a reference, rows of position [m], direction and wall normal, on by `dt` [s], ahead of a
+/// Advances a reference, rows of position [m], direction and wall normal, by `dt` [s], for a
 /// capsule at a pose [4 4] with a contact force [N].
 #[pyfunction]
 pub fn advance_reference<'py>(

@@ -12,27 +12,27 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 
 /// Sine of the angle to the magnet's axis below which a direction does not define a rotation about it.
 const UPRIGHT: f64 = 0.2;
-/// Longest part of the path to a pose that one step of the arm aims at [m].
+/// Maximum displacement in one step of the arm along the path to a pose [m].
 const MAX_STEP: f64 = 0.03;
-/// Largest rotation that one step of the arm aims at [rad].
+/// Maximum rotation in one step of the arm [rad].
 const MAX_ROTATION: f64 = 0.3;
-/// Shorter steps [m, rad] that are tried where a pose ahead is unreachable.
+/// Shorter steps [m, rad] that are tried if a pose ahead is unreachable.
 const SHORT_STEPS: [(f64, f64); 2] = [(8e-3, 0.08), (2e-3, 0.02)];
-/// How far out of the workspace the joints may move the magnet between two poses in it [m].
+/// Maximum distance of the magnet from the workspace between two poses in it [m].
 const SLACK: f64 = 5e-3;
-/// Angles farther than this from those of now [rad] are on another branch.
+/// Change of an angle [rad] beyond which a solution is on another branch.
 const JUMP: f64 = 0.5;
-/// A joint farther than this from its target [rad] was limited by speed.
+/// Distance of a joint from its target [rad] beyond which its speed was limited.
 const LATE: f64 = 1e-3;
 
-/// Largest speed [rad/s], acceleration and jerk of a joint.
+/// Maximum speed [rad/s], acceleration and jerk of a joint.
 struct Limits {
     speed: f64,
     acceleration: f64,
     jerk: f64,
 }
 
-/// What Python holds of it.
+/// Python handle of the actuator.
 #[pyclass(module = "vrcaps._core")]
 pub struct RobotActuator {
     robot: ArmWithPayload,
@@ -41,20 +41,20 @@ pub struct RobotActuator {
     /// Corners of the box for the magnet's center [m].
     low: DVec3,
     high: DVec3,
-    /// Direction in the world along which the flange is to point.
+    /// Target direction of the flange in the world.
     along: DVec3,
-    /// Largest speeds of the magnet [m/s, rad/s].
+    /// Maximum speeds of the magnet [m/s, rad/s].
     speeds: (f64, f64),
 }
 
-/// The magnet and the joints at one instant.
+/// State of magnet and joints.
 struct State {
     magnet: Pose,
     velocity: Vec<f64>,
     angles: Vec<f64>,
 }
 
-/// The goal, or the first part of the path to it if it is far.
+/// Goal, or the first part of the path to a distant goal.
 fn step_towards(start: &Pose, goal: &Pose) -> Pose {
     let step = (goal.position - start.position).clamp_length_max(MAX_STEP);
     let turn = rotation_vector(goal.rotation * start.rotation.transpose());
@@ -63,7 +63,7 @@ fn step_towards(start: &Pose, goal: &Pose) -> Pose {
     Pose { position: start.position + step, rotation: if is_far { part() } else { goal.rotation } }
 }
 
-/// A pose towards a goal: the magnet moved and its axis rotated by `most` [m, rad].
+/// Pose towards a goal: the magnet moved and its axis rotated by at most `most` [m, rad].
 fn short_step(start: &Pose, goal: &Pose, most: (f64, f64)) -> Pose {
     let step = (goal.position - start.position).clamp_length_max(most.0);
     let (from, to) = (start.rotation.z_axis, goal.rotation.z_axis);
@@ -75,8 +75,8 @@ fn short_step(start: &Pose, goal: &Pose, most: (f64, f64)) -> Pose {
 }
 
 impl RobotActuator {
-    /// The pose rotated about the magnet's axis so that the flange points in its direction; where
-    /// that is along the axis, it points as it does now.
+    /// Pose rotated about the magnet's axis so that the flange points in its target direction; if
+    /// that is along the axis, the flange keeps its direction.
     fn align(&self, goal: &Pose, now: &Pose) -> Pose {
         let (axis, flange) = (goal.rotation.z_axis, self.robot.flange_along());
         let across = |v: DVec3| v - axis * axis.dot(v);
@@ -96,18 +96,19 @@ impl RobotActuator {
         (place - place.clamp(self.low, self.high)).length()
     }
 
-    /// Largest acceleration of a joint that keeps its jerk even if it reverses in a step of `dt` [s].
+    /// Maximum acceleration of a joint that respects its jerk even if reversed in a step of `dt`
+    /// [s].
     fn acceleration(limits: &Limits, dt: f64) -> f64 {
         limits.acceleration.min(0.5 * limits.jerk * dt)
     }
 
-    /// Joint speeds of the next step: joints move in proportion and can stop at their targets; at
-    /// most a fraction of the path per second.
+    /// Joint velocities of the next step: joints move in proportion and can stop at their targets;
+    /// `max_rate` is the maximum fraction of the path per second.
     fn velocity(&self, error: &[f64], velocity: &[f64], dt: f64, max_rate: f64) -> Vec<f64> {
         let rate =
             error.iter().zip(&self.limits).fold(max_rate.min(1.0 / dt), |rate, (error, l)| {
                 let a = Self::acceleration(l, dt);
-                // A stop at the end of the way: v dt + v²/2a = way.
+                // Stop at the end of the path: v dt + v²/2a = path.
                 let stopping = (a * a * dt * dt + 2.0 * a * error.abs()).sqrt() - a * dt;
                 rate.min(l.speed.min(stopping) / error.abs().max(1e-12))
             });
@@ -119,17 +120,18 @@ impl RobotActuator {
         next.collect()
     }
 
-    /// Largest part of the way a second that keeps the magnet's own speeds [1/s].
+    /// Maximum fraction of the path per second within the magnet's speed limits [1/s].
     fn rate(&self, now: &Pose, goal: &Pose) -> f64 {
         let distance = now.position.distance(goal.position);
         let turn = rotation_vector(goal.rotation * now.rotation.transpose()).length();
         (self.speeds.0 / distance.max(1e-9)).min(self.speeds.1 / turn.max(1e-9))
     }
 
-    /// What is in the way of angles; `out` is how far the magnet is out of the workspace now [m].
+    /// Constraint that angles violate; `out` is the magnet's current distance from the workspace
+    /// [m].
     fn blocked(&self, frames: &[Pose], out: f64) -> Option<&'static str> {
         let (own, table) = self.robot.gaps(frames);
-        // On the way from one pose in the workspace to another the joints may lead the magnet out of it.
+        // Between two poses in the workspace, the joints may move the magnet slightly out of it.
         let next = self.outside(self.robot.magnet(frames).position);
         match own.min(table) < 0.0 {
             true => Some("collision"),
@@ -137,7 +139,7 @@ impl RobotActuator {
         }
     }
 
-    /// The joints a time `dt` [s] later at given speeds.
+    /// State after a time `dt` [s] at given joint velocities.
     fn at(&self, state: &State, velocity: Vec<f64>, dt: f64, frames: &mut Vec<Pose>) -> State {
         let angles: Vec<f64> =
             state.angles.iter().zip(&velocity).map(|(q, v)| q + dt * v).collect();
@@ -145,7 +147,7 @@ impl RobotActuator {
         State { magnet: self.robot.magnet(frames), velocity, angles }
     }
 
-    /// A time `dt` [s] later, on the way to a pose, and what kept it from it.
+    /// State after a time `dt` [s] on the path to a pose, and the constraint that limited it.
     fn step(&self, state: &State, goal: &Pose, dt: f64) -> (State, &'static str) {
         let place = goal.position.clamp(self.low, self.high);
         let mut limit = if place == goal.position { "" } else { "workspace" };
@@ -174,8 +176,9 @@ impl RobotActuator {
         (next, if limit.is_empty() && is_late { "speed" } else { limit })
     }
 
-    /// The same, in small steps if need be: near a joint's limit the others move far for a little of
-    /// the magnet's way, and a pose ahead may be too far for them where one on the way is not.
+    /// Advances as `step`, in shorter steps if necessary: near a joint limit, the other joints move
+    /// far for a short path of the magnet, and a distant pose may be out of reach when a nearer one
+    /// is not.
     fn go(&self, state: &State, goal: &Pose, dt: f64) -> (State, &'static str) {
         let mut moved = self.step(state, goal, dt);
         for most in SHORT_STEPS {
@@ -188,7 +191,7 @@ impl RobotActuator {
     }
 }
 
-/// Pose [4 4] of the magnet, joint speeds and angles [n], what kept it from the pose asked for.
+/// Pose [4 4] of the magnet, joint velocities and angles [n], and the constraint that limited them.
 type Moved<'py> = (
     Bound<'py, PyArrayDyn<f64>>,
     Bound<'py, PyArrayDyn<f64>>,
@@ -198,8 +201,9 @@ type Moved<'py> = (
 
 #[pymethods]
 impl RobotActuator {
-    /// Joints as rows of home angle, largest speed, acceleration and jerk; the workspace's corners [m];
-    /// where the flange is to point; largest speeds of the magnet [m/s, rad/s].
+    /// Actuator from joints, as rows of home angle, maximum speed, acceleration and jerk; the
+    /// corners of the workspace [m]; the flange's target direction; maximum speeds of the magnet
+    /// [m/s, rad/s].
     #[new]
     fn new(
         robot: PyRef<'_, ArmWithPayload>,
@@ -221,7 +225,7 @@ impl RobotActuator {
         })
     }
 
-    /// The pose [4 4], turned about the magnet's axis until the flange points where it is to.
+    /// Pose [4 4] rotated about the magnet's axis until the flange points in its target direction.
     fn align_flange<'py>(
         &self,
         py: Python<'py>,
@@ -231,7 +235,7 @@ impl RobotActuator {
         array(py, &[4, 4], self.align(&goal, &goal).rows().to_vec())
     }
 
-    /// The magnet a time `dt` [s] later, on its way from a pose [4 4] to another.
+    /// State of the magnet after a time `dt` [s], on the path from a pose [4 4] to another.
     fn move_towards<'py>(
         &self,
         py: Python<'py>,
@@ -242,7 +246,7 @@ impl RobotActuator {
         dt: f64,
     ) -> PyResult<Moved<'py>> {
         if angles.len() != self.limits.len() || velocity.len() != self.limits.len() {
-            return Err(PyValueError::new_err("One angle and one speed a joint are needed."));
+            return Err(PyValueError::new_err("One angle and one speed per joint are needed."));
         }
         let state = State { magnet: pose(&square(&magnet, 4)?), velocity, angles };
         let (next, limit) = self.go(&state, &pose(&square(&goal, 4)?), dt);

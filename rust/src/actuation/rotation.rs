@@ -5,14 +5,14 @@ use glam::{DMat3, DVec3};
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2, ndarray::arr2};
 use pyo3::prelude::*;
 
-/// Cosine beyond which a turn is so near to half a turn that its sine says no axis.
+/// Cosine below which a rotation is so near to a half turn that its sine does not define an axis.
 const NEAR_HALF: f64 = -0.99;
-/// A sine below this says no axis.
+/// Sine below which an axis is undefined.
 const PARALLEL: f64 = 1e-9;
 
-/// A rotation, turned further by a rotation vector [rad] in the same frame.
+/// Rotation followed by a rotation vector [rad] in the same frame.
 ///
-/// Rodrigues' formula; the result is kept orthonormal by a step of Newton's iteration.
+/// Rodrigues' formula; a step of Newton's iteration keeps the result orthonormal.
 pub fn rotate(vector: DVec3, rotation: DMat3) -> DMat3 {
     let angle = vector.length();
     if angle == 0.0 {
@@ -29,7 +29,7 @@ pub fn rotation_vector(rotation: DMat3) -> DVec3 {
     let (sine, cosine) = (0.5 * across.length(), 0.5 * (x.x + y.y + z.z - 1.0));
     let angle = sine.atan2(cosine);
     if cosine < NEAR_HALF {
-        // R + Rᵀ = 2 c 1 + 2 (1 − c) a aᵀ: the longest column has the axis.
+        // R + Rᵀ = 2 c 1 + 2 (1 − c) a aᵀ: the longest column is along the axis.
         let square = rotation + rotation.transpose() - 2.0 * cosine * DMat3::IDENTITY;
         let sizes = DVec3::new(square.x_axis.x, square.y_axis.y, square.z_axis.z);
         let axis = square.col(sizes.max_position()).normalize();
@@ -38,7 +38,7 @@ pub fn rotation_vector(rotation: DMat3) -> DVec3 {
     across * if sine > 0.0 { 0.5 * angle / sine } else { 0.5 }
 }
 
-/// A direction turned towards another by `most` [rad]; about an axis where they are opposite.
+/// Direction rotated towards another by at most `most` [rad]; about `about` if they are opposite.
 pub fn towards(start: DVec3, end: DVec3, most: f64, about: DVec3) -> DVec3 {
     let axis = start.cross(end);
     let sine = axis.length();
@@ -53,7 +53,7 @@ fn rotation(rows_of: &PyReadonlyArray2<'_, f64>) -> PyResult<DMat3> {
     three_rows(rows_of).map(|rows| rows.transpose())
 }
 
-/// See `rotate`: a rotation vector [rad] and a rotation [3 3].
+/// Result of `rotate` for a rotation vector [rad] and a rotation [3 3].
 #[pyfunction]
 pub fn rotate_by_vector<'py>(
     py: Python<'py>,
@@ -64,7 +64,7 @@ pub fn rotate_by_vector<'py>(
     Ok(PyArray2::from_owned_array(py, arr2(&rows)))
 }
 
-/// See `rotation_vector`: of a rotation [3 3].
+/// Result of `rotation_vector` for a rotation [3 3].
 #[pyfunction]
 #[pyo3(name = "rotation_vector")]
 pub fn rotation_vector_rows<'py>(

@@ -161,8 +161,8 @@ impl Shell {
     /// Potential of a cylinder of this shape, with `sheet` as its remanence.
     ///
     /// `ρN_ρ` of one end is −Q(a, ρ, ζ): symmetric in a and ρ, homogeneous of degree two, with
-    /// `∂Q/∂ρ = ρB_z(a, ρ)` and `∂Q/∂ζ = ρ² C`, so that
-    /// `2Q = ρ²B_z(a, ρ) + a²B_z(ρ, a) + ρ²ζC` (Euler).
+    /// `∂Q/∂ρ = ρB_z(a, ρ)` and `∂Q/∂ζ = ρ² C`, so that (Euler)
+    /// `2Q = ρ²B_z(a, ρ) + a²B_z(ρ, a) + ρ²ζC`.
     pub fn potential(&self, rho: f64, z: f64) -> Potential {
         let (a, beyond) = (self.radius, z.abs() - self.half_length);
         let share = |depth: f64| {

@@ -18,7 +18,8 @@ pub struct Multipole {
 }
 
 /// Factors of the recurrences of I and Q, for l = n + 1 and l = n + 2, n = 1, 3, …:
-/// `(l+1) I_{l+1} = ((2l+1) z I_l − l I_{l−1})/r²`, `l Q_{l+1} = ((2l+1) z Q_l − (l+1) Q_{l−1})/r²`.
+/// `(l+1) I_{l+1} = ((2l+1) z I_l − l I_{l−1})/r²`,
+/// `l Q_{l+1} = ((2l+1) z Q_l − (l+1) Q_{l−1})/r²`.
 static STEPS: [[f64; 8]; TERMS] = steps();
 
 const fn steps() -> [[f64; 8]; TERMS] {

@@ -10,7 +10,7 @@ use glam::DVec3;
 use numpy::{PyArrayDyn, PyReadonlyArray2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-/// Sine of the angle to the magnet's axis below which a direction does not define a rotation about it.
+/// Sine of the angle to the magnet's axis below which a direction defines no rotation about it.
 const UPRIGHT: f64 = 0.2;
 /// Maximum displacement in one step of the arm along the path to a pose [m].
 const MAX_STEP: f64 = 0.03;

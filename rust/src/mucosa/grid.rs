@@ -1,4 +1,4 @@
-//! Vessel segments by the cells of space they touch, and the blood seen at a point.
+//! Spatial grid of vessel segments, and the blood visible at a point.
 
 use super::noise::{exp, floor};
 use super::vessels::Segment;
@@ -11,27 +11,26 @@ use std::ops::Range;
 /// Edge of a cell [mm].
 const CELL: f32 = 1.0;
 
-/// Width over which coarse texels still blur vessels [mm].
+/// Maximum width of a texel that blurs vessels [mm].
 const MAX_FOOTPRINT: f32 = 0.3;
 
 /// Absorption of whole blood in green light [1/mm], about 25 at 550 nm and less over a camera's
 /// broad band (Bosschaart et al., Lasers Med Sci 29:453, 2014).
 const BLOOD_ABSORPTION: f32 = 25.0;
 
-/// Share of green light that blood takes away, from arteries and from veins, at the points of a
-/// lane.
+/// Fraction of green light that blood in arteries and in veins absorbs, at the points of a lane.
 pub struct Blood {
-    /// Loss to arteries, 0 to 1.
+    /// Absorption by arteries, 0 to 1.
     pub artery: Lane,
-    /// Loss to veins, 0 to 1.
+    /// Absorption by veins, 0 to 1.
     pub vein: Lane,
 }
 
-/// Neighboring points that are measured against one segment at once.
+/// Number of neighboring points that are compared with a segment at once.
 const GROUP: usize = 8;
 type Group = [f32; GROUP];
 
-/// Hashes a packed cell by one multiplication, whose upper half holds something of all its bits.
+/// Hasher of a packed cell by one multiplication, whose upper half depends on all its bits.
 #[derive(Default)]
 pub struct CellHasher(u64);
 
@@ -47,7 +46,7 @@ impl Hasher for CellHasher {
     }
 }
 
-/// A segment ready to be measured against.
+/// Segment with precomputed values for distances.
 struct Piece {
     start: Vec3,
     along: Vec3,
@@ -66,7 +65,7 @@ pub struct SegmentGrid {
     footprint: f32,
 }
 
-/// A cell's three numbers, each modulo 2²¹, as one.
+/// Packs a cell's three indices, each modulo 2²¹.
 #[inline(always)]
 pub fn pack(cell: [i32; 3]) -> u64 {
     cell.iter().fold(0, |key, &c| (key << 21) | (c as u64 & 0x1f_ffff))
@@ -77,7 +76,7 @@ fn cell_of(p: Vec3) -> [i32; 3] {
     [floor(p[0] * (1.0 / CELL)), floor(p[1] * (1.0 / CELL)), floor(p[2] * (1.0 / CELL))]
 }
 
-/// Half-width over which a vessel of radius `radius` is seen: wider vessels lie deeper in the
+/// Half-width over which a vessel of radius `radius` is visible: wider vessels lie deeper in the
 /// scattering wall, and none is sharper than a texel.
 #[inline(always)]
 fn half_width(radius: f32, footprint: f32) -> f32 {
@@ -85,7 +84,7 @@ fn half_width(radius: f32, footprint: f32) -> f32 {
 }
 
 impl SegmentGrid {
-    /// Sorts segments into cells, for texels `texel` millimeters wide.
+    /// Grid of segments, for texels `texel` millimeters wide.
     pub fn new(segments: &[Segment], texel: f32) -> Self {
         let footprint = texel.min(MAX_FOOTPRINT);
         let cells_of = |(number, s): (usize, &Segment)| {
@@ -117,7 +116,7 @@ impl SegmentGrid {
         Self { pieces, cells, members, footprint }
     }
 
-    /// Blood seen at points of the wall; the normals there keep out vessels of the far side of a
+    /// Blood visible at points of the wall; the normals there exclude vessels on the far side of a
     /// fold. Neighbors in the lane mostly share a cell.
     #[inline(always)]
     pub fn blood(&self, points: &Lane3, normals: &Lane3) -> Blood {
@@ -139,7 +138,7 @@ impl SegmentGrid {
         blood
     }
 
-    /// Blood of some segments seen at the points of some lanes.
+    /// Adds blood of some segments visible at the points of some lanes.
     #[inline(always)]
     fn blood_of(
         &self,
@@ -190,8 +189,8 @@ impl Piece {
         }
     }
 
-    /// Raises losses to that of green light by Beer and Lambert over the chord of blood below each
-    /// point, spread over the width in which it is seen; distances are taken along the wall.
+    /// Increases absorption to that of green light by the Beer-Lambert law over the chord of blood
+    /// below each point, spread over its visible width; distances are taken along the wall.
     #[inline(always)]
     fn add_loss(
         &self,
@@ -215,7 +214,7 @@ impl Piece {
             chords[i] =
                 std::f32::consts::PI * radius * radius / width * (15.0 / 16.0) * fall * fall;
         }
-        // Most segments of a cell are seen from few of its points.
+        // Most segments of a cell are visible at few of its points.
         if falls.iter().fold(0.0, |a, &b| max(a, b)) <= 0.0 {
             return;
         }

@@ -1,4 +1,4 @@
-//! The default mucosa: a solid function of the wall's points, baked into its textures.
+//! Default mucosa: a solid texture at the wall's points, baked into its textures.
 
 pub mod grid;
 pub(crate) mod noise;
@@ -18,31 +18,31 @@ use rayon::prelude::*;
 use tissue::{Mucosa, Places, Samples, Tissue, turned};
 use vessels::{Growth, grow};
 
-/// Texels around each chart that continue it, so that filtering sees no background.
+/// Texels of padding that continue each chart, so that filtering reads no background.
 const PADDING: usize = 8;
 
-/// Numbers a vertex brings: position [mm], normal, curvature [1/mm], arc length [mm], and the
-/// factors of its segment on pits, bile and vessels.
+/// Count of numbers per vertex from Python: position [mm], normal, curvature [1/mm], arc length
+/// [mm], and the factors of its segment on pits, bile and vessels.
 const GIVEN: usize = 11;
 
-/// Numbers a vertex carries: those it brings, but for the arc length two slow variations.
+/// Count of fields per vertex: as given, but with two slow variations instead of the arc length.
 const FIELDS: usize = GIVEN + 1;
 
-/// The wall as the kernel reads it.
+/// Wall as input of the kernel.
 struct Wall<'a> {
     vertices: Vec<[f32; FIELDS]>,
     faces: &'a [[u32; 3]],
     uv: &'a [f64],
 }
 
-/// A texture set: sRGB color, roughness and height [m], row by row.
+/// Texture set: sRGB color, roughness and height [m], row by row.
 struct Textures {
     albedo: Vec<u8>,
     roughness: Vec<u8>,
     height: Vec<f32>,
 }
 
-/// A face's vertex fields along one row of texels.
+/// Vertex fields of a face along one row of texels.
 struct FaceFields {
     face: u32,
     origin: f64,
@@ -51,11 +51,11 @@ struct FaceFields {
     /// origin's x.
     lines: [[f64; 2]; 2],
     fields: [f32; FIELDS],
-    /// From the first corner to the second and third.
+    /// Differences from the first corner to the second and third.
     edges: [[f32; FIELDS]; 2],
 }
 
-/// How far a texel lies from a face's corner, where the texture wraps to be nearest its middle.
+/// Offset of a texel from a face's corner, wrapped with the texture to be nearest its middle.
 #[inline(always)]
 fn offset(value: f64, period: f64, middle: f64, origin: f64) -> f64 {
     let turns = (middle - value) / period;
@@ -85,7 +85,7 @@ impl FaceFields {
         }
     }
 
-    /// The fields at a texel; beyond the face's edges they go on in the face's plane.
+    /// Fields at a texel; extrapolated in the face's plane beyond its edges.
     #[inline(always)]
     fn at(&self, size: Size, x: usize) -> [f32; FIELDS] {
         let x = offset(x as f64, size.width as f64, self.middle, self.origin);
@@ -99,7 +99,7 @@ impl FaceFields {
     }
 }
 
-/// Texels of a row that are evaluated at once: columns and vertex fields of those that faces cover.
+/// Batch of covered texels of a row: columns and vertex fields.
 struct Lot {
     columns: [usize; LANES],
     rows: [[f32; FIELDS]; LANES],
@@ -137,7 +137,8 @@ impl Lot {
     }
 }
 
-/// 8-bit sRGB (IEC 61966-2-1) by a table over the square root, which spreads the codes evenly.
+/// Encoder to 8-bit sRGB (IEC 61966-2-1) by a table over the square root, which spaces codes
+/// evenly.
 struct Encoder([u8; Encoder::STEPS + 1]);
 
 impl Encoder {
@@ -157,7 +158,7 @@ impl Encoder {
     }
 }
 
-/// Adds what varies so slowly that the wall's vertices hold it: redness and bile.
+/// Adds variations that are slow enough to be stored at the wall's vertices: redness and bile.
 fn with_slow_variation(given: &[f32], seed: u32) -> Vec<[f32; FIELDS]> {
     let noise =
         |stream: u32, size: f32| Lattice::new(seed.wrapping_mul(31).wrapping_add(stream), size);
@@ -192,7 +193,7 @@ fn paint(wall: &Wall, map: &[u32], size: Size, tissue: &Tissue) -> Textures {
     textures
 }
 
-/// One row of the textures.
+/// Row of the textures.
 struct Row<'a> {
     y: usize,
     albedo: &'a mut [u8],
@@ -200,7 +201,7 @@ struct Row<'a> {
     height: &'a mut [f32],
 }
 
-/// Compiled for several instruction sets; none of them changes a bit of the result.
+/// Compiled for several instruction sets, with bit-identical results.
 #[multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -238,7 +239,7 @@ fn paint_row(
 }
 
 impl Row<'_> {
-    /// Paints the texels of a lot and empties it.
+    /// Evaluates the texels of a batch and clears it.
     #[inline(always)]
     fn paint(&mut self, tissue: &Tissue, encoder: &Encoder, lot: &mut Lot) {
         let samples = tissue.at(&lot.places());
@@ -261,10 +262,12 @@ impl Row<'_> {
 type TextureArrays<'py> =
     (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray1<u8>>, Bound<'py, PyArray1<f32>>);
 
-/// Bakes a mucosa into textures of `layout`: height, width and the wall's length under a texel [mm].
+/// Bakes a mucosa into textures of `layout`: height, width and the wall's length under a texel
+/// [mm].
 ///
 /// `wall` [n 11] holds each vertex's position [mm], normal, curvature [1/mm], arc length [mm] and
-/// factors on pits, bile and vessels; `uv` [m 6] the texture coordinates of each face's corners. Returns albedo, roughness and height, flat.
+/// factors on pits, bile and vessels; `uv` [m 6] the texture coordinates of each face's corners.
+/// Returns albedo, roughness and height, flat.
 #[pyfunction]
 pub fn bake_mucosa<'py>(
     py: Python<'py>,

@@ -1,13 +1,13 @@
-//! Solid noise from hashed lattice points: no state, the same value on any machine.
+//! Solid noise from hashed lattice points: stateless, with the same value on any machine.
 //!
-//! Only additions, multiplications, divisions and square roots are used (IEEE 754 fixes
-//! their bits); Rust never contracts them into fused operations.
+//! It uses only additions, multiplications, divisions and square roots (IEEE 754 fixes their bits);
+//! Rust never contracts them into fused operations.
 
 use crate::simd::f32x64::{LANES, Lane, Lane3, at, clamp, dot, max, min, scale, sub};
 
 pub use crate::simd::f32x64::Vec3;
 
-/// Mixes the bits of a counter (the lowbias32 finaliser of C. Wellons, 2018).
+/// Hash of a counter (the lowbias32 finalizer of C. Wellons, 2018).
 #[inline(always)]
 pub fn mix(mut h: u32) -> u32 {
     h ^= h >> 16;
@@ -17,7 +17,7 @@ pub fn mix(mut h: u32) -> u32 {
     h ^ (h >> 16)
 }
 
-/// A number in [0, 1) from a seed and two counters.
+/// Uniform number in [0, 1) from a seed and two counters.
 #[inline(always)]
 pub fn uniform(seed: u32, a: u32, b: u32) -> f32 {
     let h = mix(seed ^ mix(a ^ mix(b.wrapping_add(0x9e37_79b9))));
@@ -36,16 +36,16 @@ fn corner(seed: u32, x: i32, y: i32, z: i32) -> u32 {
 #[inline(always)]
 fn triple(h: u32) -> Vec3 {
     const SCALE: f32 = 2.0 / 1023.0;
-    // Signed numbers are turned into floats by one instruction.
+    // Conversion of a signed integer to a float takes one instruction.
     let part = |shift: u32| ((h >> shift) & 1023) as i32 as f32 * SCALE - 1.0;
     [part(0), part(10), part(20)]
 }
 
-/// Largest whole number not above `x`, for |x| < 2²², without the library call `f32::floor` costs
-/// on x86-64; some number for any other.
+/// Floor of `x`, for |x| < 2²², without the library call of `f32::floor` on x86-64; unspecified for
+/// other numbers.
 #[inline(always)]
 pub fn floor(x: f32) -> i32 {
-    // Adding 1.5 · 2²³ rounds to a whole number and leaves it in the low bits.
+    // Adding 1.5 · 2²³ rounds to an integer and leaves it in the low bits.
     const ROUND: f32 = 12_582_912.0;
     let shifted = x + ROUND;
     let near = shifted.to_bits().wrapping_sub(ROUND.to_bits()) as i32;
@@ -59,7 +59,7 @@ fn split(x: f32) -> (i32, f32, f32) {
     (floor, t, t * t * t * (t * (t * 6.0 - 15.0) + 10.0))
 }
 
-/// Noise over a lattice of hashed points, without branches, so that it can be taken in lanes.
+/// Noise over a lattice of hashed points, without branches, so that it vectorizes.
 #[derive(Clone, Copy)]
 pub struct Lattice {
     seed: u32,
@@ -71,13 +71,13 @@ pub struct Lattice {
 const SCALE: f32 = 3.98;
 
 impl Lattice {
-    /// A lattice with points `size` apart.
+    /// Lattice with points `size` apart.
     pub fn new(seed: u32, size: f32) -> Self {
         Self { seed, frequency: 1.0 / size }
     }
 
-    /// Vectors at the corners of the cell of `p` (x fastest), offsets of `p` into the cell, and
-    /// their quintic fades.
+    /// Vectors at the corners of the cell of `p` (x fastest), offsets of `p` in the cell, and their
+    /// quintic fades.
     #[inline(always)]
     fn locate(&self, p: Vec3) -> ([Vec3; 8], Vec3, Vec3) {
         let (x, y, z) = (
@@ -132,7 +132,7 @@ impl Lattice {
     }
 }
 
-/// Steps along x, y and z to a corner of a cell.
+/// Offset along x, y and z to a corner of a cell.
 #[inline(always)]
 fn steps(index: usize) -> [i32; 3] {
     [index as i32 & 1, (index as i32 >> 1) & 1, index as i32 >> 2]
@@ -146,15 +146,15 @@ pub struct Cells {
 }
 
 impl Cells {
-    /// A lattice of cells `size` wide.
+    /// Lattice of cells `size` wide.
     pub fn new(seed: u32, size: f32) -> Self {
         Self { seed, frequency: 1.0 / size }
     }
 
-    /// The point of the cell `step` further than `cell`, from the corner of `cell` [cells].
+    /// Point of the cell at `cell + step`, from the corner of `cell` [cells].
     #[inline(always)]
     fn point(&self, cell: [i32; 3], step: [i32; 3]) -> Vec3 {
-        /// How far points stray from the middles of their cells, in cells.
+        /// Maximum offset of points from the centers of their cells, in cells.
         const STRAY: f32 = 0.4;
         let stray =
             triple(corner(self.seed, cell[0] + step[0], cell[1] + step[1], cell[2] + step[2]));
@@ -162,7 +162,7 @@ impl Cells {
         [along(0), along(1), along(2)]
     }
 
-    /// The cell of `p`, and the offset of `p` into it [cells].
+    /// Cell of `p`, and the offset of `p` in it [cells].
     #[inline(always)]
     fn locate(&self, p: Vec3) -> ([i32; 3], Vec3) {
         let p = scale(p, self.frequency);
@@ -170,7 +170,7 @@ impl Cells {
         (cell, sub(p, [cell[0] as f32, cell[1] as f32, cell[2] as f32]))
     }
 
-    /// By how much the second nearest point is farther than the nearest, in cells: 0 on the
+    /// Difference of the distances to the second nearest and the nearest point, in cells: 0 on the
     /// borders between points, up to about 1 at the points.
     #[inline(always)]
     pub fn borders(&self, p: &Lane3) -> Lane {
@@ -198,7 +198,7 @@ impl Cells {
         first
     }
 
-    /// Offset [cells] from the point in the cell of `p`, and a number in [0, 1) of its own.
+    /// Offset [cells] from the point in the cell of `p`, and a number in [0, 1) per point.
     #[inline(always)]
     pub fn own(&self, p: Vec3) -> (Vec3, f32) {
         let (cell, offset) = self.locate(p);
@@ -216,7 +216,7 @@ fn blend(values: &[f32; 8], fade: Vec3) -> f32 {
     mix(line(0), line(1), fade[0])
 }
 
-/// eˣ for x in [−80, 80], to 3e-7 relative: 2ⁿ times a polynomial on [−½, ½].
+/// Exponential of x in [−80, 80], to 3e-7 relative: 2ⁿ times a polynomial on [−½, ½].
 #[inline(always)]
 pub fn exp(x: f32) -> f32 {
     let y = clamp(x, -80.0, 80.0) * std::f32::consts::LOG2_E;

@@ -1,9 +1,9 @@
-//! Which face each texel of a chart layout shows, with padding around the charts.
+//! Rasterization: the face at each texel of a chart layout, with padding around the charts.
 
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// A texel that no face reaches.
+/// Marker of a texel without a face.
 pub const NO_FACE: u32 = u32::MAX;
 
 /// Texture size in texels.
@@ -15,11 +15,11 @@ pub struct Size {
     pub height: usize,
 }
 
-/// Corners of a face in texel coordinates: whole numbers are texel centers.
+/// Corners of a face in texel coordinates; texel centers are integers.
 pub type Corners = [[f64; 2]; 3];
 
 impl Size {
-    /// Texel coordinates of texture coordinates.
+    /// Texel coordinates from texture coordinates.
     pub fn corners(self, uv: &[f64]) -> Corners {
         [0, 1, 2].map(|c| {
             [uv[2 * c] * self.width as f64 - 0.5, (1.0 - uv[2 * c + 1]) * self.height as f64 - 0.5]
@@ -32,8 +32,8 @@ pub fn doubled_area(t: &Corners) -> f64 {
     (t[1][0] - t[0][0]) * (t[2][1] - t[0][1]) - (t[2][0] - t[0][0]) * (t[1][1] - t[0][1])
 }
 
-/// Face number of every texel whose center a face covers (the lowest where several do), and
-/// around the charts, up to `padding` texels away, that of the nearest covered texel.
+/// Index of the face that covers each texel's center (the lowest of several), and around the
+/// charts, up to `padding` texels away, that of the nearest covered texel.
 pub fn face_map(uv: &[f64], size: Size, padding: usize) -> Vec<u32> {
     let map: Vec<AtomicU32> =
         (0..size.width * size.height).into_par_iter().map(|_| AtomicU32::new(NO_FACE)).collect();
@@ -59,7 +59,7 @@ fn cover(map: &[AtomicU32], size: Size, t: &Corners, face: u32) {
     let turn = area.signum();
     for y in y0..=y1 {
         let row = wrapped(y, size.height) * size.width;
-        // Each edge's side of a texel is `rise - (x - start) * run`.
+        // Side of a texel relative to each edge: `rise - (x - start) * run`.
         let edges = [0, 1, 2].map(|c| {
             let (a, b) = (t[c], t[(c + 1) % 3]);
             ((b[0] - a[0]) * (y as f64 - a[1]), a[0], b[1] - a[1])
@@ -76,14 +76,14 @@ fn cover(map: &[AtomicU32], size: Size, t: &Corners, face: u32) {
     }
 }
 
-/// A texel's number where the texture goes on beyond its border; division is slow and seldom needed.
+/// Index of a texel that wraps at the texture's border, without division where possible.
 #[inline(always)]
 fn wrapped(value: i64, period: usize) -> usize {
     let inside = usize::try_from(value).is_ok_and(|value| value < period);
     if inside { value as usize } else { value.rem_euclid(period as i64) as usize }
 }
 
-/// Stands for the offset to a covered texel along a row where none is near: beyond any padding.
+/// Offset to a covered texel along a row if none is near: larger than any padding.
 const FAR: i8 = i8::MAX;
 
 /// Exact Euclidean dilation by rows, then columns (Saito and Toriwaki 1994), with wrap-around.
@@ -101,7 +101,7 @@ fn pad(covered: &[u32], size: Size, padding: usize) -> Vec<u32> {
     map
 }
 
-/// Gives the uncovered texels of row `y` the nearest covered texel of the rows around it.
+/// Assigns to the uncovered texels of row `y` the nearest covered texel of the rows around it.
 fn pad_row(
     texels: &mut [u32],
     covered: &[u32],

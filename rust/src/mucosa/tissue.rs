@@ -1,11 +1,11 @@
-//! The mucosa as a solid function: color, roughness and relief at a point of the wall.
+//! Mucosa as a solid texture: color, roughness and relief at a point of the wall.
 
 use super::grid::{Blood, SegmentGrid};
 use super::noise::{Cells, Lattice, Vec3, exp, smoothstep, uniform};
 use crate::simd::f32x64::{LANES, Lane, Lane3, add, at, clamp, dot, max, min, scale};
 use pyo3::prelude::*;
 
-/// Character of a mucosa: `vrcaps.mucosa.mucosa.Mucosa`, whose fields say what they mean.
+/// Parameters of a mucosa: `vrcaps.mucosa.mucosa.Mucosa`, whose fields document them.
 #[derive(Clone, Copy, FromPyObject)]
 pub struct Mucosa {
     pub base_color: [f32; 3],
@@ -27,7 +27,7 @@ pub struct Mucosa {
     pub roughness: f32,
 }
 
-/// Places on the wall, one for each lane. Lengths in millimeters.
+/// Points on the wall, one per lane. Lengths in millimeters.
 pub struct Places {
     pub point: Lane3,
     pub normal: Lane3,
@@ -43,35 +43,35 @@ pub struct Places {
     pub vessels: Lane,
 }
 
-/// What the wall is like at places.
+/// Appearance of the wall at points.
 pub struct Samples {
     /// Linear base color.
     pub albedo: Lane3,
     pub roughness: Lane,
-    /// Towards the lumen [mm].
+    /// Height towards the lumen [mm].
     pub height: Lane,
 }
 
-/// Structure of the mucosa at places.
+/// Structure of the mucosa at points.
 struct Structure {
     patch: Lane,
     mottle: Lane,
     grain: Lane,
-    /// Network of the finest vessels, about zero mean.
+    /// Network of the finest vessels, with zero mean approximately.
     mesh: Lane,
     /// Height of the plateaus between pits: 1 on villi or areae, 0 in the gaps between them.
     plateau: Lane,
-    /// Level of the field that lays the film of mucus.
+    /// Level of the field that controls the film of mucus.
     level: Lane,
-    /// Cover by mucus, 0 to 1.
+    /// Fraction covered by mucus, 0 to 1.
     cover: Lane,
-    /// Bumps [mm].
+    /// Height of bumps [mm].
     relief: Lane,
 }
 
 /// Absorption of blood in red, green and blue relative to green, arterial and venous: hemoglobin
-/// takes green and blue alike and little red, less so without oxygen (S. Prahl's tables, averaged
-/// over a camera's bands).
+/// absorbs green and blue alike and little red, more of it without oxygen (S. Prahl's tables,
+/// averaged over a camera's bands).
 const ARTERIAL: [f32; 3] = [0.16, 1.0, 0.92];
 const VENOUS: [f32; 3] = [0.36, 1.0, 0.86];
 
@@ -81,7 +81,7 @@ const BILE: [f32; 3] = [0.04, 0.16, 1.0];
 /// Spacing of the finest network [mm].
 const MESH: f32 = 0.9;
 
-/// Sizes of the bumps of the relief [mm], and the share of its slope that each takes.
+/// Sizes of the bumps of the relief [mm], and the weight of each in its slope.
 const BUMPS: [(f32, f32); 3] = [(7.0, 0.7), (2.4, 1.0), (0.9, 1.0)];
 
 /// RMS slope of gradient noise times its spacing.
@@ -94,38 +94,38 @@ const PLATEAU_SLOPE: f32 = 3.5;
 const PLATEAU: f32 = 0.62;
 const GAP: f32 = 0.38;
 
-/// Spacing of the places where a fleck of mucus may lie [mm], and the radii of flecks in spacings.
+/// Spacing of the possible positions of flecks of mucus [mm], and radii of flecks in spacings.
 const FLECK_SPACING: f32 = 3.2;
 const FLECK_RADII: [f32; 2] = [0.03, 0.17];
 
-/// Spacing of the strands of mucus [mm], half their width and that of their soft edge as shares of
-/// it, and how many deviations short of the film's border they reach.
+/// Spacing of the strands of mucus [mm], half their width and that of their soft edge in spacings,
+/// and the number of deviations below the film's border that they reach.
 const STRAND_SPACING: f32 = 7.5;
 const STRAND_WIDTHS: [f32; 2] = [0.02, 0.075];
 const STRAND_REACH: f32 = 1.1;
 
-/// Deviation of the field that lays the film of mucus.
+/// Standard deviation of the field that controls the film of mucus.
 const FILM_DEVIATION: f32 = 0.85;
 
-/// Scattering depth of the film of mucus where it is whole, and of a strand.
+/// Scattering depth of a full film of mucus, and of a strand.
 const FILM_DEPTH: f32 = 1.3;
 const STRAND_DEPTH: f32 = 1.3;
 
 /// Variance of patches relative to that of the slow variation along the gut.
 const SLOW_SHARE: f32 = 2.6;
 
-/// A mucosa grown over one patient's wall.
+/// Mucosa of one patient's wall.
 pub struct Tissue {
     mucosa: Mucosa,
     grid: SegmentGrid,
     texel: f32,
     redness: f32,
-    /// Weight of slow variation along the gut, which takes the variance that patches lack.
+    /// Weight of slow variation along the gut, which compensates for missing variance of patches.
     slow: f32,
     contrast: f32,
     /// Reflectance of mucus.
     tint: [f32; 3],
-    /// Level of its field from which the film of mucus begins.
+    /// Level of the field at which the film of mucus begins.
     border: f32,
     patch: Lattice,
     mottle: Lattice,
@@ -140,7 +140,7 @@ pub struct Tissue {
 }
 
 impl Tissue {
-    /// A patient: the seed sets how red the wall is and how clearly its vessels show.
+    /// Tissue of a patient: the seed sets the wall's redness and the contrast of its vessels.
     pub fn new(mucosa: Mucosa, seed: u32, grid: SegmentGrid, texel: f32) -> Self {
         let patient = |number: u32| 2.0 * uniform(seed, 0x7061_7469, number) - 1.0;
         let noise =
@@ -167,20 +167,20 @@ impl Tissue {
         }
     }
 
-    /// 1 for features wide enough for the texels to hold, 0 for those that would alias.
+    /// Weight of features of a size: 1 if texels resolve them, 0 if they would alias.
     #[inline(always)]
     fn resolved(&self, size: f32) -> f32 {
         smoothstep(2.0, 4.0, size / self.texel)
     }
 
-    /// Depth of the gaps between pits [mm] for the slope they shall have.
+    /// Depth of the gaps between pits [mm] for their specified slope.
     #[inline(always)]
     fn pit_height(&self) -> f32 {
         let pits = self.mucosa.pit_spacing * 1e3;
         self.mucosa.pit_slope * pits / PLATEAU_SLOPE * self.resolved(pits)
     }
 
-    /// The mucosa without any detail.
+    /// Mucosa without any detail.
     pub fn plain(&self) -> Samples {
         let albedo = self.color(self.redness, 1.2 * self.mucosa.bile, 0.0, 0.0);
         Samples {
@@ -190,7 +190,7 @@ impl Tissue {
         }
     }
 
-    /// Evaluates the mucosa at places.
+    /// Evaluates the mucosa at points.
     #[inline(always)]
     pub fn at(&self, places: &Places) -> Samples {
         let warped = self.warped(places);
@@ -207,7 +207,7 @@ impl Tissue {
         samples
     }
 
-    /// What meets the eye at the place of one lane: color, roughness and height.
+    /// Appearance at the point of one lane: color, roughness and height.
     #[inline(always)]
     fn sample(
         &self,
@@ -248,7 +248,7 @@ impl Tissue {
         (albedo, roughness, height + 0.015 * (artery + vein) + 0.05 * cover)
     }
 
-    /// Noise at places in the lattices' frame, and at those places moved so that vessels wind.
+    /// Noise at points in the lattices' frame, and at warped points, for tortuous vessels.
     #[inline(always)]
     fn structure(&self, p: &Lane3, fine: &Lane3) -> Structure {
         let (mottle, grain) = (self.mottle.gradients(p), self.grain.gradients(p));
@@ -291,12 +291,12 @@ impl Tissue {
         clamp(dry * (1.0 - 0.35 * film), 0.1, 1.0)
     }
 
-    /// Cover by a fleck of mucus, 0 to 1.
+    /// Fraction covered by a fleck of mucus, 0 to 1.
     #[inline(always)]
     fn fleck(&self, p: Vec3, grain: f32) -> f32 {
         let (offset, number) = self.flecks.own(p);
         let fraction = self.mucosa.flecks;
-        // Among the flecks that are there, few are large.
+        // Few of the existing flecks are large.
         let size = number / fraction;
         let radius = FLECK_RADII[0] + (FLECK_RADII[1] - FLECK_RADII[0]) * size * size * size;
         let distance = dot(offset, offset).sqrt() * (1.0 + 0.25 * grain);
@@ -304,7 +304,7 @@ impl Tissue {
         if number < fraction { cover } else { 0.0 }
     }
 
-    /// Scattering depth of mucus: a film where `level` is high, and strands that run on beyond it.
+    /// Scattering depth of mucus: a film where `level` is high, and strands that extend beyond it.
     #[inline(always)]
     fn mucus(&self, p: &Lane3, level: &Lane, grain: &Lane) -> Lane {
         let highest = level.iter().fold(f32::NEG_INFINITY, |a, &b| max(a, b));
@@ -326,7 +326,7 @@ impl Tissue {
         depth
     }
 
-    /// The places moved along the wall, so that vessels wind.
+    /// Points displaced along the wall, for tortuous vessels.
     #[inline(always)]
     fn warped(&self, places: &Places) -> Lane3 {
         let mut warped = [[0.0; LANES]; 3];
@@ -343,7 +343,7 @@ impl Tissue {
         warped
     }
 
-    /// Network of the finest vessels: ridges of noise, where texels hold them.
+    /// Network of the finest vessels: ridges of noise, if texels resolve them.
     #[inline(always)]
     fn capillary_mesh(&self, p: &Lane3) -> Lane {
         let (mut mesh, resolved) = (self.mesh.gradients(p), self.resolved(0.6 * MESH));
@@ -354,7 +354,7 @@ impl Tissue {
         mesh
     }
 
-    /// Relief [mm] from bumps of three sizes, each by its slope.
+    /// Relief [mm] from bumps of three sizes, each weighted by slope.
     #[inline(always)]
     fn relief(&self, p: &Lane3) -> Lane {
         let mut height = [0.0; LANES];
@@ -371,13 +371,13 @@ impl Tissue {
     }
 }
 
-/// The level that a standard normal variable exceeds with a chance, to 0.01 from 0.02 to 0.98
-/// (through the logistic distribution); above all levels for a chance of 0.
+/// Quantile of the standard normal distribution for a probability to exceed it, to 0.01 from 0.02
+/// to 0.98 (by the logistic distribution); above all levels for a probability of 0.
 fn quantile(chance: f32) -> f32 {
     if chance <= 0.0 { 99.0 } else { ((1.0 - chance) / chance).ln() / 1.702 }
 }
 
-/// A rotation by Pythagorean numbers, so that no wall lies along the noise's lattice by habit.
+/// Rotation with Pythagorean numbers, so that walls are not aligned with the noise's lattice.
 #[inline(always)]
 pub fn turned(p: Vec3) -> Vec3 {
     [

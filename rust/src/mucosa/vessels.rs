@@ -1,16 +1,16 @@
-//! Vessel trees grown on the wall: where blood runs, how wide and how deep.
+//! Vessel trees grown on the wall: paths, radii and depth of blood vessels.
 
 use super::noise::{Lattice, Vec3, cube_root, exp, floor, mix, smoothstep, uniform};
 use crate::simd::f32x64::{cross, dot, sub};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// How vessel trees grow. Lengths in millimeters.
+/// Parameters of the growth of vessel trees. Lengths in millimeters.
 #[derive(Clone, Copy)]
 pub struct Growth {
     /// Seed of all random numbers.
     pub seed: u32,
-    /// Distance between the ends of the finest branches.
+    /// Distance between the tips of the finest branches.
     pub spacing: f32,
     /// Distance between trunks.
     pub trunk_spacing: f32,
@@ -18,7 +18,7 @@ pub struct Growth {
     pub tip_radius: f32,
 }
 
-/// A tapering piece of vessel. Lengths in millimeters.
+/// Tapered segment of a vessel. Lengths in millimeters.
 #[derive(Clone, Copy)]
 pub struct Segment {
     /// Upstream and downstream ends.
@@ -27,9 +27,9 @@ pub struct Segment {
     pub radii: [f32; 2],
     /// Normal of the wall.
     pub normal: Vec3,
-    /// Fraction of the light that meets the vessel rather than the mucosa over it.
+    /// Fraction of the light that meets the vessel rather than the mucosa above it.
     pub visibility: f32,
-    /// Whether it carries venous blood.
+    /// True if it carries venous blood.
     pub is_vein: bool,
 }
 
@@ -41,11 +41,11 @@ struct Site {
 
 const NONE: u32 = u32::MAX;
 
-/// How much a long way to the trunk counts against a short new branch: the balancing factor of
+/// Weight of a long path to the trunk relative to a short new branch: the balancing factor of
 /// Cuntz, Forstner, Borst and Häusser, PLoS Comput Biol 6(8):e1000877, 2010.
 const BALANCE: f32 = 0.10;
 
-/// Buckets of point numbers by hashed cell; different cells may share a bucket.
+/// Buckets of point indices by hashed cell; different cells may share a bucket.
 struct Buckets {
     head: Vec<u32>,
     next: Vec<u32>,
@@ -75,8 +75,8 @@ impl Buckets {
         self.head[slot] = self.next.len() as u32 - 1;
     }
 
-    /// Calls `visit` for every point in the cells around `p` (and perhaps a few others), until
-    /// it returns false; whether it never did.
+    /// Calls `visit` for every point in the cells around `p` (and possibly others), until it
+    /// returns false; returns true if it never did.
     fn around(&self, p: Vec3, mut visit: impl FnMut(u32) -> bool) -> bool {
         let c = self.cell(p);
         for index in 0..27 {
@@ -139,7 +139,7 @@ fn scatter(
     sites
 }
 
-/// A forest over the sites: parent and root of each, and the order in which they joined.
+/// Forest over the sites: parent and root of each, and the order in which they were connected.
 struct Forest {
     parent: Vec<u32>,
     root: Vec<u32>,
@@ -147,11 +147,11 @@ struct Forest {
     order: Vec<u32>,
 }
 
-/// Joins every site to a trunk by the cheapest branch first (Prim's algorithm with a balance).
+/// Connects every site to a trunk by the cheapest branch first (Prim's algorithm with a balance).
 fn join(sites: &[Site], roots: &[u32], reach: f32, seed: u32) -> Forest {
     let mut buckets = Buckets::new(reach, sites.len());
     sites.iter().for_each(|site| buckets.push(site.point));
-    // Vessels run where the tissue lets them: a smooth random resistance makes trunks wind.
+    // A smooth random resistance of the tissue makes trunks tortuous.
     let resistance = Lattice::new(seed ^ 0x6561_7365, 7.0);
     let ease: Vec<f32> =
         sites.iter().map(|site| exp(0.7 * resistance.gradient(site.point))).collect();
@@ -161,7 +161,7 @@ fn join(sites: &[Site], roots: &[u32], reach: f32, seed: u32) -> Forest {
         path_length: vec![0.0; sites.len()],
         order: Vec::with_capacity(sites.len()),
     };
-    // Keys are non-negative floats, whose bits sort as they do.
+    // Bits of nonnegative floats have the order of the floats.
     let mut heap: BinaryHeap<Reverse<(u32, u32, u32)>> =
         roots.iter().map(|&r| Reverse((0, r, NONE))).collect();
     while let Some(Reverse((_, site, parent))) = heap.pop() {
@@ -196,7 +196,7 @@ fn join(sites: &[Site], roots: &[u32], reach: f32, seed: u32) -> Forest {
     forest
 }
 
-/// Ends that each site's branch feeds, and the neighbor downstream that feeds most.
+/// Number of tips that each site's branch feeds, and the downstream neighbor that feeds most.
 fn flows(forest: &Forest) -> (Vec<f32>, Vec<u32>) {
     let mut flow = vec![0.0f32; forest.parent.len()];
     let mut main = vec![NONE; forest.parent.len()];
@@ -214,7 +214,7 @@ fn flows(forest: &Forest) -> (Vec<f32>, Vec<u32>) {
     (flow, main)
 }
 
-/// Draws each site towards the middle of its upstream and main downstream neighbors.
+/// Moves each site towards the midpoint of its upstream and main downstream neighbors.
 fn straighten(sites: &mut [Site], forest: &Forest, main: &[u32]) {
     for _ in 0..4 {
         let before: Vec<Vec3> = sites.iter().map(|site| site.point).collect();
@@ -230,9 +230,9 @@ fn straighten(sites: &mut [Site], forest: &Forest, main: &[u32]) {
 
 /// Grows vessel trees over a wall (vertices in millimeters).
 ///
-/// Trunks break through from below at sites `trunk_spacing` apart; every site of the wall is fed
-/// by the nearest of them along a tree. Radii follow Murray's law, r³ = Σ r³ of the branches
-/// (Murray, PNAS 12:207, 1926).
+/// Trunks enter from below at sites `trunk_spacing` apart; the nearest trunk feeds each site of the
+/// wall through a tree. Radii follow Murray's law, r³ = Σ r³ of the branches (Murray, PNAS 12:207,
+/// 1926).
 pub fn grow(
     vertices: &[Vec3],
     normals: &[Vec3],
@@ -246,7 +246,7 @@ pub fn grow(
     let forest = join(&sites, &roots, 2.0 * spacing, seed);
     let (flow, main) = flows(&forest);
     straighten(&mut sites, &forest, &main);
-    // A trunk thins towards the depth it comes from.
+    // A trunk becomes thinner towards the depth that it comes from.
     let risen = |site: u32| smoothstep(0.0, 5.0, forest.path_length[site as usize]);
     let radius =
         |site: u32| tip_radius * cube_root(flow[site as usize]) * (0.5 + 0.5 * risen(site));
@@ -270,7 +270,7 @@ pub fn grow(
     segments
 }
 
-/// Joins some tips to the nearest vessel that is not their own branch: the mucosal network.
+/// Connects some tips to the nearest vessel outside their own branch: the mucosal network.
 fn bridge(
     sites: &[Site],
     forest: &Forest,
@@ -313,7 +313,7 @@ fn bridge(
     }
 }
 
-/// Number of the site nearest to each trunk, where one is within `reach`.
+/// Index of the site nearest to each trunk, if one is within `reach`.
 fn nearest(sites: &[Site], trunks: &[Site], reach: f32) -> Vec<u32> {
     let mut buckets = Buckets::new(reach, sites.len());
     sites.iter().for_each(|site| buckets.push(site.point));

@@ -1,4 +1,4 @@
-//! Which texels triangles cover (`vrcaps.mesh.rasterize`).
+//! Texels covered by triangles (`vrcaps.mesh.rasterize`).
 
 use crate::pool::on_pool;
 use numpy::ndarray::{Array2, ArrayView2, Axis};
@@ -7,22 +7,22 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 use std::ops::RangeInclusive;
 
-/// Rows that are covered at once.
+/// Number of rows in a chunk.
 const ROWS: i64 = 64;
-/// Largest coordinate of a corner, and largest margin [texels].
+/// Maximum coordinate of a corner, and maximum margin [texels].
 const FARTHEST: f64 = 1e6;
-/// Shortest side that distances to it are measured by [texels].
+/// Minimum length of a side in the computation of distances [texels].
 const SHORTEST: f64 = 1e-12;
-/// A texel that no face covers: depth and number of its face.
+/// Texel without a face: depth and index of its face.
 const UNCOVERED: (f32, i32) = (f32::NEG_INFINITY, -1);
 
 type Point = [f64; 2];
 
-/// A triangle in texel coordinates: whole numbers are texel centers.
+/// Triangle in texel coordinates; texel centers are integers.
 struct Face {
     number: i32,
     corners: [Point; 3],
-    /// Length of the side opposite to each corner.
+    /// Length of the side opposite each corner.
     sides: [f64; 3],
     doubled_area: f64,
     columns: RangeInclusive<i64>,
@@ -38,7 +38,7 @@ fn from_to(a: Point, b: Point) -> Point {
 }
 
 impl Face {
-    /// None if it has no area.
+    /// Face from its corners; `None` if it has no area.
     fn new(number: usize, corners: ArrayView2<'_, f64>, margin: f64) -> Option<Self> {
         let [a, b, c] = [0, 1, 2].map(|k| [corners[[k, 0]], corners[[k, 1]]]);
         let doubled_area = cross(from_to(a, b), from_to(a, c));
@@ -68,8 +68,8 @@ impl Face {
         [cross(b, c), cross(c, a), cross(a, b)]
     }
 
-    /// Depth of a texel [texels]: zero inside, beyond a side minus the distance from it; none
-    /// where that is as far as the margin.
+    /// Depth of a texel [texels]: zero inside, minus the distance from a side beyond it; `None`
+    /// from the margin on.
     fn depth(&self, column: i64, row: i64, margin: f64) -> Option<f32> {
         let turn = self.doubled_area.signum();
         let areas = self.areas(column, row).map(|area| area * turn);
@@ -81,7 +81,7 @@ impl Face {
         (depth > -margin).then_some(depth as f32)
     }
 
-    /// Barycentric coordinates of a texel, of the nearest side where it lies beyond one.
+    /// Barycentric coordinates of a texel; beyond a side, those of the nearest side.
     fn weights(&self, column: i64, row: i64) -> [f64; 3] {
         let shares = self.areas(column, row).map(|area| (area / self.doubled_area).max(0.0));
         let total = shares[0] + shares[1] + shares[2];
@@ -99,7 +99,7 @@ struct Texels {
 }
 
 impl Texels {
-    /// Those in some rows, of the faces there; row by row, each once.
+    /// Texels covered in a range of rows by the faces there; row by row, each once.
     fn of(faces: &[&Face], rows: RangeInclusive<i64>, margin: f64) -> Self {
         let mut found = Self::default();
         let first = faces.iter().map(|face| *face.columns.start()).min().unwrap_or(0);
@@ -169,7 +169,7 @@ fn covered(faces: &[Face], margin: f64) -> Texels {
     Texels::joined(&parts)
 }
 
-/// What `covered_texels` gives to Python.
+/// Result of `covered_texels` for Python.
 type Found<'py> = (
     Bound<'py, PyArray1<i32>>,
     Bound<'py, PyArray1<i32>>,
@@ -177,11 +177,11 @@ type Found<'py> = (
     Bound<'py, PyArray2<f64>>,
 );
 
-/// Column, row, face and barycentric coordinates [n 3] of the texels whose centers lie in a face
-/// or within `margin` texels of one; `corners` [m 3 2] are each face's columns and rows.
+/// Column, row, face and barycentric coordinates [n 3] of the texels whose centers lie in a face or
+/// within `margin` texels of one; `corners` [m 3 2] are each face's columns and rows.
 ///
 /// # Errors
-/// If corners are not of triangles, or they or the margin are not within a million texels.
+/// If corners are not of triangles, or they or the margin exceed a million texels.
 #[pyfunction]
 pub fn covered_texels<'py>(
     py: Python<'py>,

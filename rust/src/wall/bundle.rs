@@ -1,7 +1,7 @@
-//! Eight rays from one point, traced as one bundle: for rays that lie too far apart for a packet.
+//! Tracing of eight rays from one point as a bundle, for rays too far apart for a packet.
 //!
-//! A box of the hierarchy is tested against all ways at once, by intervals of their directions; a
-//! triangle against each way with the edge functions of `packet`, so that both find the same.
+//! A box of the hierarchy is tested against all rays at once, by intervals of their directions; a
+//! triangle against each ray with the edge functions of `packet`, so that both find the same hits.
 
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
@@ -10,36 +10,36 @@ use crate::wall::packet::{Hits, Pyramid};
 use crate::wall::visibility::SHADOW_REACH;
 use glam::{BVec4A, Vec4};
 
-/// Rays of a bundle.
+/// Number of rays of a bundle.
 pub const RAYS: usize = 8;
-/// Columns and rows of a tile whose rays make a bundle.
+/// Columns and rows of a tile whose rays form a bundle.
 const COLUMNS: usize = 4;
 const ROWS: usize = RAYS / COLUMNS;
 /// Larger than any distance.
 const FAR: f32 = 1e30;
 
-/// One number for each ray, in halves that fit the narrowest vectors.
+/// One value per ray, in halves that fit the narrowest vectors.
 type Eight = [Vec4; 2];
 
-/// Room for the nodes that wait to be visited, and how near a bundle enters each.
+/// Stack of nodes to visit, with the entry distance of a bundle into each.
 type Pile = [(u32, f32); STACK];
 
-/// Ways from a point; a distance along one is a multiple of its length.
+/// Vectors from a point; a distance along one is a multiple of its length.
 struct Bundle {
     point: Vec3,
     /// By component.
     ways: [Eight; 3],
-    /// For each row of `Node::bounds`: factors from how far that bound is along its axis to the
-    /// least and to the greatest distance that it allows, and what is added to the latter. A row
-    /// bounds one of the two; the other is then 0 or `FAR`.
+    /// For each row of `Node::bounds`: factors from the offset of that bound along its axis to the
+    /// minimum and maximum distance that it allows, and a term added to the latter. A row bounds
+    /// one of the two; the other is then 0 or `FAR`.
     least: [f32; 6],
     greatest: [f32; 6],
     no_greatest: [f32; 6],
 }
 
-/// Where a bundle meets a triangle's plane, and on which side of its edges.
+/// Intersections of a bundle with a triangle's plane, and the signs of its edge functions.
 struct Meeting {
-    /// A bit for each ray that meets the triangle.
+    /// A bit for each ray that hits the triangle.
     bits: u32,
     distance: Eight,
     edges: [Eight; 3],
@@ -69,8 +69,8 @@ pub fn trace_in_bundles(
     }
 }
 
-/// Which of up to `RAYS` sources light each point of a tile, a bit for each source; none where
-/// lanes are not `used`. There are `count` sources, each lane `i` has its own place `source(i, k)`.
+/// Light sources, of up to `RAYS`, visible from each point of a tile, one bit each; none in lanes
+/// not `used`. There are `count` sources; lane `i` has its own positions `source(i, k)`.
 #[inline(always)]
 pub fn lit_by(
     wall: &Wall,
@@ -83,7 +83,7 @@ pub fn lit_by(
         let point = at(points, i);
         let mut ways = [[0.0; RAYS]; 3];
         for k in 0..RAYS {
-            // The last is repeated to the end.
+            // The last one fills the rest.
             let way = sub(source(i, k.min(count - 1)), point);
             (ways[0][k], ways[1][k], ways[2][k]) = (way[0], way[1], way[2]);
         }
@@ -102,7 +102,7 @@ impl Bundle {
                 low = min(low, way);
                 high = max(high, way);
             }
-            // Some way is above a lower bound at a distance if the highest is; below an upper one
+            // Some ray is above a lower bound at a distance if the highest is; below an upper one
             // if the lowest is.
             for (row, way) in [(axis, high), (axis + 3, low)] {
                 let inverse = inverse(way);
@@ -169,7 +169,7 @@ impl Bundle {
         }
     }
 
-    /// The ends of the ways to which these are free, of those whose bits are set.
+    /// Rays among the bits `all` that are unoccluded up to their ends.
     #[inline(always)]
     fn unoccluded(&self, bvh: &Bvh, all: u32, pile: &mut Pile) -> u32 {
         let (mut lit, whole) = (all, [Vec4::ONE; 2]);
@@ -194,7 +194,7 @@ impl Bundle {
         lit
     }
 
-    /// Pushes the children that a way may meet nearer than `farthest`, the nearest last.
+    /// Pushes the children that a ray may hit nearer than `farthest`, the nearest last.
     #[inline(always)]
     fn push_children(&self, node: &Node, farthest: f32, pile: &mut Pile, mut top: usize) -> usize {
         let (mut nearest, mut met) = ([0.0; WIDTH], 0);
@@ -227,7 +227,7 @@ impl Bundle {
         top
     }
 
-    /// Where the ways meet a triangle, farther than `nearest` and nearer than each one's reach.
+    /// Intersections with a triangle, farther than `nearest` and within each ray's reach.
     #[inline(always)]
     fn meet(&self, triangle: &Triangle, nearest: f32, reach: &Eight) -> Meeting {
         let [a, b, c] = triangle.corners;
@@ -252,7 +252,7 @@ impl Bundle {
         met
     }
 
-    /// Scalar products of a vector and half of the ways.
+    /// Scalar products of a vector and half of the ray vectors.
     #[inline(always)]
     fn along(&self, vector: Vec3, half: usize) -> Vec4 {
         let [x, y, z] = &self.ways;

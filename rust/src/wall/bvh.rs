@@ -1,4 +1,4 @@
-//! The bounding-volume hierarchy: eight children a node, built once, refitted when the wall moves.
+//! Bounding-volume hierarchy: eight children per node, built once, refitted when the wall moves.
 
 use crate::simd::f32x64::Vec3;
 use glam::{Vec3A, Vec4};
@@ -11,21 +11,21 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::time::Duration;
 
-/// Children of a node.
+/// Number of children of a node.
 pub const WIDTH: usize = 8;
 /// Marks a child that is a leaf; the other bits are `first triangle · 4 + count`.
 const LEAF: u32 = 1 << 31;
-/// Most levels of a tree: a traversal keeps the other seven children of each on its stack.
+/// Maximum number of levels: a traversal keeps the other seven children of each on its stack.
 pub const DEEPEST: usize = 32;
-/// Room for that.
+/// Size of that stack.
 pub const STACK: usize = (WIDTH - 1) * DEEPEST + WIDTH;
-/// Most primitives of a leaf.
+/// Maximum number of primitives in a leaf.
 pub const MAX_PER_LEAF: usize = 3;
 /// Larger than any coordinate [m]: bounds of an empty child exclude everything.
 const FAR: f32 = 1e30;
-/// Widens a box by the rounding of its distances.
+/// Factor that widens a box by the rounding of its distances.
 pub const WIDER: f32 = 1.0 + 4.0 * f32::EPSILON;
-/// Levels above the branches that are refitted side by side: up to 64 branches.
+/// Levels above the branches that are refitted in parallel: up to 64 branches.
 const BRANCH_DEPTH: usize = 2;
 const MAX_TRIANGLES_PER_LEAF: u32 = 2;
 
@@ -35,19 +35,19 @@ const MAX_TRIANGLES_PER_LEAF: u32 = 2;
 pub struct Node {
     /// Lower bounds x, y, z, then upper bounds x, y, z [m].
     pub bounds: [[f32; WIDTH]; 6],
-    /// What each child is, see `Child`.
+    /// Encoded children, see `Child`.
     pub children: [u32; WIDTH],
 }
 
-/// One over a component of a ray's direction, finite.
+/// Reciprocal of a component of a ray's direction, finite.
 #[inline(always)]
 pub fn inverse(component: f32) -> f32 {
     1.0 / if component.abs() > 1e-20 { component } else { 1e-20f32.copysign(component) }
 }
 
-/// What a child of a node is.
+/// A child of a node.
 pub enum Child {
-    /// Another node, by number.
+    /// Another node, by index.
     Node(usize),
     /// A range of triangles in leaf order.
     Leaf(Range<usize>),
@@ -70,13 +70,13 @@ impl Child {
     }
 }
 
-/// A triangle as the tracer reads it, with its place in the mesh.
+/// A triangle in the layout of the tracer, with its index in the mesh.
 #[derive(Clone, Copy)]
 #[repr(C)]
 pub struct Triangle {
     /// Corners [m].
     pub corners: [Vec3; 3],
-    /// Number of the face in the mesh.
+    /// Index of the face in the mesh.
     pub face: u32,
 }
 
@@ -87,17 +87,17 @@ pub struct Bvh {
     pub nodes: Vec<Node>,
     /// Triangles in leaf order.
     pub triangles: Vec<Triangle>,
-    /// Vertex numbers of the triangles, in the same order.
+    /// Vertex indices of the triangles, in the same order.
     pub corners: Vec<[u32; 3]>,
-    /// Large branches, which share nothing and are refitted side by side, in node order.
+    /// Large disjoint branches, refitted in parallel, in node order.
     branches: Vec<Branch>,
-    /// The node above each node; the root's is itself.
+    /// Parent of each node; the root's is itself.
     above: Vec<u32>,
     /// The node whose leaf holds each face.
     holder: Vec<u32>,
 }
 
-/// A node with all below it: nodes in a row, and the triangles of their leaves in a row.
+/// A node and its descendants: consecutive nodes, and the consecutive triangles of their leaves.
 #[derive(Clone)]
 struct Branch {
     nodes: Range<usize>,
@@ -105,7 +105,7 @@ struct Branch {
 }
 
 impl Bvh {
-    /// A hierarchy over nothing.
+    /// A hierarchy without primitives.
     pub fn empty() -> Self {
         Bvh {
             nodes: Vec::new(),
@@ -117,7 +117,7 @@ impl Bvh {
         }
     }
 
-    /// Builds the hierarchy (PLOC with reinsertion, then collapsed to eight children a node).
+    /// Builds the hierarchy (PLOC with reinsertion, then collapsed to eight children per node).
     pub fn build(vertices: &[Vec3], faces: &[[u32; 3]]) -> Self {
         let input: Vec<BuildTriangle> = faces
             .iter()
@@ -138,7 +138,7 @@ impl Bvh {
         bvh
     }
 
-    /// Notes where each node hangs and where each face is.
+    /// Records the parent of each node and the node of each face.
     fn find_holders(&mut self) {
         self.above = vec![0; self.nodes.len()];
         self.holder = vec![0; self.triangles.len()];
@@ -155,7 +155,7 @@ impl Bvh {
         }
     }
 
-    /// As `refit`, where only these faces have moved.
+    /// Refits like `refit` if only these faces have moved.
     pub fn refit_some(&mut self, vertices: &[Vec3], faces: impl Iterator<Item = u32>) {
         let mut due = vec![0u64; self.nodes.len().div_ceil(64)];
         faces.for_each(|face| mark(&mut due, self.holder[face as usize]));
@@ -174,7 +174,7 @@ impl Bvh {
         }
     }
 
-    /// Levels of the tree.
+    /// Number of levels of the tree.
     pub fn depth(&self) -> usize {
         let mut levels = vec![1; self.nodes.len()];
         for (n, node) in self.nodes.iter().enumerate() {
@@ -187,7 +187,7 @@ impl Bvh {
         levels.into_iter().max().unwrap_or(0)
     }
 
-    /// Moves triangles and boxes to new vertex positions; the tree stays.
+    /// Updates triangles and boxes to new vertex positions; the tree's topology stays.
     pub fn refit(&mut self, vertices: &[Vec3]) {
         let mut parts = Vec::with_capacity(self.branches.len());
         let mut rest = Part::whole(&mut self.nodes, &mut self.triangles, &self.corners, vertices);
@@ -218,14 +218,14 @@ impl Bvh {
     }
 }
 
-/// Nodes in a row and the triangles of their leaves.
+/// Consecutive nodes and the triangles of their leaves.
 struct Part<'a> {
     nodes: &'a mut [Node],
     first_node: usize,
     triangles: &'a mut [Triangle],
     first_triangle: usize,
     corners: &'a [[u32; 3]],
-    /// Coordinates of the vertices in a row [m].
+    /// Coordinates of all vertices, flattened [m].
     vertices: &'a [f32],
 }
 
@@ -240,7 +240,7 @@ impl<'a> Part<'a> {
         Part { nodes, first_node: 0, triangles, first_triangle: 0, corners, vertices }
     }
 
-    /// Cuts in front of a node and a triangle, given by their numbers in the whole tree.
+    /// Splits before a node and a triangle, given by their indices in the whole tree.
     fn split(self, node: usize, triangle: usize) -> (Part<'a>, Part<'a>) {
         let (nodes, more_nodes) = self.nodes.split_at_mut(node - self.first_node);
         let (triangles, more) = self.triangles.split_at_mut(triangle - self.first_triangle);
@@ -255,7 +255,7 @@ impl<'a> Part<'a> {
         (head, tail)
     }
 
-    /// Moves the boxes of a node's children and the triangles of its leaves; children first.
+    /// Updates the boxes of a node's children and the triangles of its leaves; children first.
     #[inline(always)]
     fn refit_node(&mut self, n: usize) {
         for k in 0..WIDTH {
@@ -268,7 +268,7 @@ impl<'a> Part<'a> {
         }
     }
 
-    /// Moves the triangles of a leaf; returns their bounds.
+    /// Updates the triangles of a leaf; returns their bounds.
     #[inline(always)]
     fn refit_leaf(&mut self, range: Range<usize>) -> [f32; 6] {
         let (mut low, mut high) = (Vec4::splat(FAR), Vec4::splat(-FAR));
@@ -283,12 +283,12 @@ impl<'a> Part<'a> {
     }
 }
 
-/// Marks a number in a row of bits.
+/// Sets a bit of a bit set.
 fn mark(bits: &mut [u64], number: u32) {
     bits[number as usize / 64] |= 1 << (number % 64);
 }
 
-/// A vertex among coordinates in a row, and whatever comes after it: one load.
+/// A vertex of flattened coordinates, and the value after it: one load.
 #[inline(always)]
 pub fn vertex(coordinates: &[f32], v: u32) -> Vec4 {
     let first = 3 * v as usize;
@@ -330,7 +330,7 @@ impl Node {
     }
 }
 
-/// Turns a binary hierarchy into an eight-wide one.
+/// Conversion of a binary hierarchy into an eight-wide one.
 struct Collapse<'a> {
     binary: &'a Bvh2,
     out: Bvh,
@@ -343,10 +343,10 @@ impl<'a> Collapse<'a> {
         this.out
     }
 
-    /// Adds the node that stands for binary node `root`; returns its number.
+    /// Adds the node that represents binary node `root`; returns its index.
     ///
-    /// A node's own leaves come before those of its descendants, so that nodes in a row have
-    /// their triangles in a row.
+    /// A node's own leaves come before those of its descendants, so that consecutive nodes have
+    /// consecutive triangles.
     fn node(&mut self, root: u32, depth: usize) -> u32 {
         let (number, first_triangle) = (self.out.nodes.len(), self.out.triangles.len());
         self.out.nodes.push(Node::empty());

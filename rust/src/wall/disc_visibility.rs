@@ -3,7 +3,7 @@
 //! The rays lie in a shaft between the disc and the points (Haines and Wallace 1991). A node of the
 //! hierarchy is tested against the shaft's four sides, all children at once. Triangles are tested
 //! against each ray by Plücker coordinates, as in `packet`: the edge functions of rays from one
-//! point, and a term by the moment of each ray about that point.
+//! point, and a term for the moment of each ray about that point.
 
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
@@ -16,7 +16,7 @@ use std::ops::Range;
 pub struct DiscRays<'a> {
     /// Center of the disc [m].
     pub center: Vec3,
-    /// Radius of a ball about the center that contains all starts [m].
+    /// Radius of a sphere about the center that contains all starts [m].
     pub radius: f32,
     /// Start of each ray, relative to the center [m].
     pub starts: &'a Lane3,
@@ -24,24 +24,24 @@ pub struct DiscRays<'a> {
     pub ends: &'a Lane3,
 }
 
-/// Ways of the rays, ready for tests against triangles; a distance along one is a fraction of it.
+/// Ray vectors prepared for triangle tests; a distance along a ray is a fraction of its length.
 struct Ways<'a> {
     center: Vec3,
     starts: &'a Lane3,
     ways: Lane3,
-    /// Way × start, both about the center.
+    /// Ray vector × start, both relative to the center.
     moments: Lane3,
-    /// Distance that must be free, −1 where nothing is to be tested any more.
+    /// Distance that must be unoccluded, −1 if the ray needs no further test.
     reach: Lane,
     /// Distance of each end along the shaft [m].
     forward: Lane,
 }
 
-/// The sides of a shaft, and the plane from which distances are counted.
+/// Sides of a shaft, and the plane from which distances are measured.
 type Shaft = ([Plane; 4], Plane);
 
-/// A bit for each of a tile's points whose ray is free, none in lanes not `used`; false if `most`
-/// triangles were not enough: then bits may be set that should not be.
+/// A bit for each of a tile's points whose ray is unoccluded, none in lanes not `used`; false if
+/// `most` triangle tests did not suffice, in which case some bits may be set wrongly.
 #[inline(always)]
 pub fn visible_from_disc(
     wall: &Wall,
@@ -64,7 +64,7 @@ pub fn visible_from_disc(
 struct Search<'a, 'b> {
     triangles: &'a [Triangle],
     ways: &'a mut Ways<'b>,
-    /// Triangles that may still be tested.
+    /// Number of triangles that may still be tested.
     left: u32,
 }
 
@@ -80,7 +80,7 @@ impl LeafVisitor for Search<'_, '_> {
     }
 }
 
-/// The rays relative to the disc's center, and the shaft around them.
+/// Rays relative to the disc's center, and the shaft around them.
 #[inline(always)]
 fn prepare<'a>(
     wall: &Wall,
@@ -121,7 +121,7 @@ fn prepare<'a>(
     (ways, shaft)
 }
 
-/// Combines all numbers of a lane in a fixed order, 16 at a time: a vector loop.
+/// Reduces a lane in a fixed order, 16 values at a time, as a vector loop.
 #[inline(always)]
 fn reduce(lane: &Lane, start: f32, combine: impl Fn(f32, f32) -> f32) -> f32 {
     let mut partial = [start; 16];
@@ -133,10 +133,10 @@ fn reduce(lane: &Lane, start: f32, combine: impl Fn(f32, f32) -> f32) -> f32 {
     partial.iter().fold(start, |a, &b| combine(a, b))
 }
 
-/// The shaft from a disc to points about its center, whose mean direction is `axis`.
+/// Shaft from a disc to points relative to its center, whose mean direction is `axis`.
 #[inline(always)]
 fn shaft_around(ways: &Ways<'_>, offsets: &Lane3, axis: Vec3, radius: f32, margin: f32) -> Shaft {
-    /// Least cosine to the axis, and least distance along it over the disc's radius.
+    /// Minimum cosine to the axis, and minimum distance along it over the disc's radius.
     const NARROW: f32 = 0.05;
     let least = if axis[0].abs() < 0.6 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
     let right = normalize(cross(axis, least));
@@ -192,7 +192,7 @@ impl Ways<'_> {
         farthest_of(&forward)
     }
 
-    /// Ends the rays that meet a triangle; true if there are any.
+    /// Ends the rays that hit a triangle; true if there are any.
     #[inline(always)]
     fn block(&mut self, triangle: &Triangle) -> bool {
         let [a, b, c] = triangle.corners.map(|corner| sub(corner, self.center));

@@ -12,12 +12,12 @@ use numpy::{
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// Distance [m] [n k] from places [n 3], one in each of `walls`, to the wall along directions
-/// [n k 3] of any length; `reach` where nothing is nearer.
+/// Distance [m] [n k] from points [n 3], one in each of `walls`, to the wall along directions [n k
+/// 3] of any length; `reach` if there is no nearer hit.
 ///
 /// # Errors
-/// If numbers of walls, places and directions do not fit each other, a number is not finite, or a
-/// direction is zero.
+/// If the numbers of walls, points and directions differ, a value is not finite, or a direction is
+/// zero.
 #[pyfunction]
 pub fn wall_distances<'py>(
     py: Python<'py>,
@@ -30,14 +30,14 @@ pub fn wall_distances<'py>(
     let (count, num_rays, axes) = ways.dim();
     if axes != 3 || places.dim() != (count, 3) || walls.len() != count {
         return Err(PyValueError::new_err(
-            "Distances need a place [3] and directions [k 3] for each wall.",
+            "Distances need a point [3] and directions [k 3] for each wall.",
         ));
     }
     let vector = |row: ArrayView1<'_, f64>| DVec3::new(row[0], row[1], row[2]);
     let rays: Vec<_> = ways.rows().into_iter().map(|way| vector(way).normalize_or_zero()).collect();
     let is_finite = places.iter().all(|x| x.is_finite()) && reach.is_finite();
     if !is_finite || !rays.iter().all(|ray| ray.is_finite() && *ray != DVec3::ZERO) {
-        return Err(PyValueError::new_err("Places and directions must be finite, and not zero."));
+        return Err(PyValueError::new_err("Points and directions must be finite, and not zero."));
     }
     let walls: Vec<&Wall> = walls.iter().map(|wall| &**wall).collect();
     let places: Vec<_> = places.rows().into_iter().map(|row| vector(row).to_array()).collect();
@@ -55,5 +55,5 @@ pub fn wall_distances<'py>(
             }
         });
     });
-    Ok(Array2::from_shape_vec((count, num_rays), found).expect("a number a ray").into_pyarray(py))
+    Ok(Array2::from_shape_vec((count, num_rays), found).expect("one per ray").into_pyarray(py))
 }

@@ -1,4 +1,4 @@
-//! A moving triangle mesh and its bounding-volume hierarchy: ray casting, nearest points,
+//! Moving triangle mesh with its bounding-volume hierarchy: ray casting, nearest points,
 //! visibility.
 
 pub mod bundle;
@@ -19,71 +19,71 @@ use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2, ndarray::Array2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// Vertices whose normals are made unit length side by side.
+/// Number of vertices whose normals are normalized together.
 const EIGHT: usize = 8;
 /// Minimum number of points or rays per thread.
 const PART: usize = 64;
 
-/// Nearest place and its face for each point, as Python sees them.
+/// Nearest point and its face for each query point, as returned to Python.
 type PlaceAndFace<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<i64>>);
 
-/// Distance and face of each ray, as Python sees them.
+/// Distance and face of each ray, as returned to Python.
 type DistanceAndFace<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<i64>>);
 
 /// A triangle surface with its bounding-volume hierarchy; normals point into the lumen.
 ///
-/// Positions are kept about the center of the mesh, so that single precision does not depend on
-/// where in the world the mesh lies.
+/// Positions are relative to the center of the mesh, so that single precision does not depend on
+/// the position of the mesh in the world.
 #[pyclass(module = "vrcaps._core")]
 #[derive(Clone)]
 pub struct Wall {
-    /// Middle of the mesh's bounds when it was made; subtracted from every position [m].
+    /// Center of the mesh's bounds at construction; subtracted from every position [m].
     #[pyo3(get)]
     pub center: [f64; 3],
-    /// Largest coordinate about the center [m].
+    /// Largest absolute coordinate relative to the center [m].
     pub extent: f32,
-    /// Vertex positions about the center [m].
+    /// Vertex positions relative to the center [m].
     pub vertices: Vec<Vec3>,
-    /// Vertex numbers of each face.
+    /// Vertex indices of each face.
     pub faces: Vec<[u32; 3]>,
     /// Unit vertex normals.
     pub normals: Vec<Vec3>,
     /// The hierarchy.
     pub bvh: Bvh,
-    /// Whether these are of the vertices as they are now.
+    /// True if `normals` are those of the current vertices.
     pub has_normals: bool,
     /// Faces around each vertex: `around[start[v]..start[v + 1]]`.
     start: Vec<u32>,
     around: Vec<u32>,
-    /// Normals of faces, as long as twice their area; kept to be overwritten.
+    /// Normals of faces, with twice the area as length; a reused buffer.
     area_normals: Vec<Vec3A>,
-    /// Vertices of another time; kept to be overwritten.
+    /// Vertices of an earlier state; a reused buffer.
     spare: Vec<Vec3>,
 }
 
 impl Wall {
-    /// A point of the outside world about this wall's center.
+    /// Converts a point from the outside world to coordinates relative to this wall's center.
     pub fn localize(&self, point: [f64; 3]) -> Vec3 {
         [0, 1, 2].map(|k| (point[k] - self.center[k]) as f32)
     }
 
-    /// A point about this wall's center in the outside world.
+    /// Converts a point relative to this wall's center to the outside world.
     pub fn globalize(&self, point: Vec3) -> [f64; 3] {
         [0, 1, 2].map(|k| f64::from(point[k]) + self.center[k])
     }
 
-    /// Faces that a vertex is a corner of.
+    /// Faces around a vertex.
     pub fn faces_around(&self, vertex: usize) -> &[u32] {
         &self.around[self.start[vertex] as usize..self.start[vertex + 1] as usize]
     }
 
-    /// Area of the faces that a vertex is a corner of [m²].
+    /// Area of the faces around a vertex [m²].
     pub fn area_around(&self, vertex: usize) -> f32 {
         let length = |&f: &u32| self.area_normals[f as usize].length();
         0.5 * self.faces_around(vertex).iter().map(length).sum::<f32>()
     }
 
-    /// Moves the wall to new vertices about its center and refits all that follows from them.
+    /// Moves the wall to new vertices relative to its center and updates all derived data.
     fn move_to(&mut self, place: impl Fn(usize) -> Vec3 + Sync) -> Result<(), &'static str> {
         install(|| {
             self.set_vertices(self.vertices.len(), &place, &[])?;
@@ -92,8 +92,8 @@ impl Wall {
         })
     }
 
-    /// Moves the wall but for its vertex normals, which only a renderer asks for: to `place`,
-    /// except `others` that come with places of their own.
+    /// Moves the wall without its vertex normals, which only a renderer needs: to `place`, except
+    /// `others`, which are given with their positions.
     pub fn follow(
         &mut self,
         place: impl Fn(usize) -> Vec3 + Sync,
@@ -107,7 +107,7 @@ impl Wall {
         })
     }
 
-    /// As `follow`, where only these vertices may have moved.
+    /// Moves the wall like `follow` if only these vertices may have moved.
     pub fn follow_some(&mut self, moved: &[(u32, Vec3)]) -> Result<(), &'static str> {
         let size = |p: Vec3| p[0].abs().max(p[1].abs()).max(p[2].abs());
         if !moved.iter().flat_map(|(_, p)| p).all(|x| x.is_finite()) {
@@ -126,7 +126,7 @@ impl Wall {
         Ok(())
     }
 
-    /// Unit normal of a vertex, also where vertex normals are not kept.
+    /// Unit normal of a vertex, even if vertex normals are outdated.
     pub fn normal(&self, vertex: u32) -> Vec3 {
         let v = vertex as usize;
         let sum = self.faces_around(v).iter().fold([0.0; 3], |sum, &face| {
@@ -136,7 +136,7 @@ impl Wall {
         normalize(sum)
     }
 
-    /// Takes over vertices if all are finite numbers; else nothing changes.
+    /// Sets the vertices if all are finite; else changes nothing.
     fn set_vertices(
         &mut self,
         count: usize,
@@ -149,7 +149,7 @@ impl Wall {
             *vertex = place(v);
             vertex.map(f32::abs)
         });
-        // Comparisons with NaN are false, so that a NaN stays the largest size.
+        // Comparisons with NaN are false, so a NaN remains the largest size.
         let larger = |a: f32, b: f32| if a < b || b.is_nan() { b } else { a };
         let largest = |[x, y, z]: Vec3| larger(larger(x, y), z);
         let mut extent = sizes.map(largest).reduce(|| 0.0, larger);
@@ -165,7 +165,7 @@ impl Wall {
         Ok(())
     }
 
-    /// Makes the vertex normals those of the vertices as they are now.
+    /// Updates the vertex normals to the current vertices.
     pub fn renew_normals(&mut self) {
         if !self.has_normals {
             install(|| {
@@ -206,26 +206,26 @@ impl Wall {
     }
 }
 
-/// Normals of faces, as long as twice their area.
+/// Computes normals of faces, with twice the area as length.
 fn find_area_normals(vertices: &[Vec3], faces: &[[u32; 3]], normals: &mut [Vec3A]) {
     let places = normals.par_iter_mut().zip(faces).with_min_len(4096);
     places.for_each(|(normal, face)| *normal = area_normal(vertices, face));
 }
 
-/// Normal of a face, as long as twice its area.
+/// Normal of a face, with twice the area as length.
 #[inline(always)]
 fn area_normal(vertices: &[Vec3], face: &[u32; 3]) -> Vec3A {
     let [a, b, c] = face.map(|v| Vec3A::from_vec4(vertex(vertices.as_flattened(), v)));
     (b - a).cross(c - a)
 }
 
-/// Area-weighted normal of a vertex, from those of the faces around it; not unit length.
+/// Area-weighted normal of a vertex, from those of the faces around it; not normalized.
 #[inline(always)]
 fn normal_sum(around: &[u32], area_normals: &[Vec3A]) -> Vec3 {
     around.iter().fold(Vec3A::ZERO, |sum, &f| sum + area_normals[f as usize]).to_array()
 }
 
-/// Numbers below `count` that occur, each once and in order.
+/// Distinct indices below `count`, in order.
 fn distinct(count: usize, numbers: impl Iterator<Item = u32>) -> Vec<u32> {
     let mut occurs = vec![false; count];
     numbers.for_each(|number| occurs[number as usize] = true);
@@ -259,7 +259,7 @@ fn middle(vertices: &[f64]) -> [f64; 3] {
     })
 }
 
-/// A vertex about a center, in single precision.
+/// A vertex relative to a center, in single precision.
 #[inline(always)]
 fn about(center: [f64; 3], vertex: &[f64; 3]) -> Vec3 {
     [0, 1, 2].map(|k| (vertex[k] - center[k]) as f32)
@@ -324,7 +324,7 @@ impl Wall {
         Ok(wall)
     }
 
-    /// A wall of its own, as this one is now.
+    /// An independent copy of this wall in its current state.
     fn copy(&self) -> Self {
         self.clone()
     }
@@ -403,7 +403,7 @@ impl Wall {
         Ok(distance.into_pyarray(py))
     }
 
-    /// Whether the straight way from `origin` to each point [n 3] of the wall is free.
+    /// `true` where the segment from `origin` to a point [n 3] of the wall is unoccluded.
     fn visible<'py>(
         &self,
         py: Python<'py>,
@@ -420,7 +420,7 @@ impl Wall {
         self.renew_normals();
         let flat: Vec<f32> = self.normals.iter().flatten().copied().collect();
         Array2::from_shape_vec((self.normals.len(), 3), flat)
-            .expect("three numbers a vertex")
+            .expect("three coordinates per vertex")
             .into_pyarray(py)
     }
 }

@@ -1,7 +1,7 @@
-//! Rays from one point through a tile of pixels, traced together.
+//! Packet tracing: rays from one point through a tile of pixels.
 //!
 //! The rays of a tile share their origin, so they lie in a pyramid. A node of the hierarchy is
-//! tested against the pyramid's four sides, all eight children at once, and costs the same for 64
+//! tested against the pyramid's four sides, all eight children at once, at the same cost for 64
 //! rays as for one. Triangles are tested against each ray with the edge functions of Plücker
 //! coordinates, which are watertight: rounding cannot open a gap between neighbors.
 
@@ -9,7 +9,7 @@ use crate::simd::f32x64::*;
 use crate::wall::bvh::{Bvh, Child, Node, STACK, Triangle, WIDTH};
 use std::ops::Range;
 
-/// Farthest distance that rays are traced [m].
+/// Maximum distance of rays [m].
 pub const MAX_DISTANCE: f32 = 1e4;
 
 /// Unit directions of a tile's rays and the pyramid around them.
@@ -21,19 +21,19 @@ pub struct Pyramid {
     pub sides: [Vec3; 4],
     /// Unit axis; no ray is more than 90° from it where `closed`.
     pub axis: Vec3,
-    /// False where the rays spread too far for a pyramid: then only distance prunes nodes.
+    /// False if the rays spread too far for a pyramid: then only distance culls nodes.
     pub closed: bool,
 }
 
-/// What the rays of a tile have hit.
+/// Hits of the rays of a tile.
 #[derive(Clone)]
 pub struct Hits {
-    /// Distance along each ray [m]; starts as the farthest distance asked for.
+    /// Distance along each ray [m]; initially the maximum distance.
     pub distance: Lane,
     /// Triangle in leaf order, or `MISS`.
     pub triangle: [u32; LANES],
     /// Edge functions opposite the first and second corner, and the sum of all three, which is
-    /// positive where the ray leaves through the back of the triangle.
+    /// positive if the ray leaves through the back of the triangle.
     pub edges: Lane3,
 }
 
@@ -41,7 +41,7 @@ pub struct Hits {
 pub const MISS: u32 = u32::MAX;
 
 impl Hits {
-    /// Nothing hit yet; each ray looks as far as `reach` (0 or less: not at all).
+    /// No hits yet, for rays of the given `reach` (0 or less: not traced).
     #[inline(always)]
     pub fn within(reach: Lane) -> Self {
         Hits { distance: reach, triangle: [MISS; LANES], edges: [[0.0; LANES]; 3] }
@@ -49,14 +49,14 @@ impl Hits {
 }
 
 impl Pyramid {
-    /// No rays yet, and nothing known of them.
+    /// An empty pyramid without bounds.
     #[inline(always)]
     pub fn open() -> Self {
         let directions = [[0.0; LANES]; 3];
         Pyramid { directions, sides: [[0.0; 3]; 4], axis: [0.0; 3], closed: false }
     }
 
-    /// The pyramid around unit `directions`; lanes where `used` is false do not count.
+    /// The pyramid around unit `directions`; lanes where `used` is false are ignored.
     #[inline(always)]
     pub fn around(directions: Lane3, used: &[bool; LANES]) -> Self {
         let mut sum = [0.0f32; 3];
@@ -126,12 +126,12 @@ impl Pyramid {
     }
 }
 
-/// One plane through the origin of the rays, ready to be tested against boxes.
+/// A plane through the origin of the rays, prepared for tests against boxes.
 pub struct Plane {
     normal: Vec3,
     /// Rows of `Node::bounds` that hold the box corner farthest along the normal.
     rows: [usize; 3],
-    /// Value of the plane at the origin, less a margin for rounding.
+    /// Value of the plane at the origin, minus a margin for rounding.
     offset: f32,
 }
 
@@ -149,7 +149,7 @@ impl Plane {
         Plane { normal: [0.0; 3], rows: [0; 3], offset: 0.0 }
     }
 
-    /// The chosen corner of each child, by component.
+    /// Coordinates of the chosen corner of each child, by component.
     #[inline(always)]
     fn corners<'a>(&self, node: &'a Node) -> [&'a [f32; WIDTH]; 3] {
         self.rows.map(|row| &node.bounds[row])
@@ -163,7 +163,7 @@ impl Plane {
     }
 }
 
-/// Finds the nearest hit of each ray (`ANY` = false), or whether there is one (`ANY` = true).
+/// Finds the nearest hit of each ray (`ANY` = false), or any hit (`ANY` = true).
 ///
 /// `extent` is the largest coordinate in the scene [m]; it sets the margin for rounding.
 #[inline(always)]
@@ -177,9 +177,9 @@ pub fn trace<const ANY: bool>(
     trace_at_most::<ANY>(u32::MAX, bvh, origin, rays, extent, hits);
 }
 
-/// The same until `most` triangles have been tested; false if that was not enough.
+/// Traces like `trace` with at most `most` triangle tests; false if those did not suffice.
 ///
-/// Then what was found stands: with `ANY`, a ray that has a hit has one.
+/// The hits up to then remain: with `ANY`, they are valid.
 #[inline(always)]
 pub fn trace_at_most<const ANY: bool>(
     most: u32,
@@ -192,7 +192,7 @@ pub fn trace_at_most<const ANY: bool>(
     search::<ANY>(most, bvh, (origin, &[0.0; LANES]), rays, extent, hits)
 }
 
-/// `trace` of what lies beyond `start`: an origin and the least distance along each ray [m].
+/// Traces like `trace` beyond `start`: an origin and the minimum distance along each ray [m].
 #[inline(always)]
 pub fn trace_beyond<const ANY: bool>(
     bvh: &Bvh,
@@ -225,7 +225,7 @@ struct Search<'a, const ANY: bool> {
     start: (Vec3, &'a Lane),
     rays: &'a Pyramid,
     hits: &'a mut Hits,
-    /// Triangles that may still be tested.
+    /// Number of triangles that may still be tested.
     left: u32,
 }
 
@@ -247,13 +247,13 @@ impl<const ANY: bool> LeafVisitor for Search<'_, ANY> {
 /// This is a trait because closures are not inlined into the functions that are compiled for wide
 /// vectors, and then run at a third of the speed.
 pub trait LeafVisitor {
-    /// Visits a leaf, given the farthest distance at which anything matters [m]; returns that
-    /// distance from then on, 0 if nothing matters any more. None ends the traversal.
+    /// Visits a leaf, given the maximum relevant distance [m]; returns the new one, 0 to skip all
+    /// other leaves. None ends the traversal.
     fn visit(&mut self, leaf: Range<usize>, farthest: f32) -> Option<f32>;
 }
 
 /// Visits the leaves of a hierarchy between the sides of a pyramid, nearest first; false if the
-/// visitor ended it.
+/// visitor ended the traversal.
 #[inline(always)]
 pub fn traverse(
     nodes: &[Node],
@@ -282,7 +282,7 @@ pub fn traverse(
     true
 }
 
-/// The sides of the pyramid and the plane from which distance is counted.
+/// Sides of the pyramid and the plane from which distance is measured.
 #[inline(always)]
 fn planes(origin: Vec3, rays: &Pyramid, extent: f32) -> ([Plane; 4], Plane) {
     let margin = extent * 1e-6;
@@ -293,7 +293,7 @@ fn planes(origin: Vec3, rays: &Pyramid, extent: f32) -> ([Plane; 4], Plane) {
     (sides, Plane::new(rays.axis, origin, -margin, false))
 }
 
-/// Visits the leaves of any hierarchy that the rays may touch nearer than `farthest` [m].
+/// Visits the leaves of any hierarchy that the rays may hit nearer than `farthest` [m].
 #[inline(always)]
 pub fn leaves(
     nodes: &[Node],
@@ -319,7 +319,7 @@ pub fn farthest_of(distance: &Lane) -> f32 {
     partial.iter().fold(0.0, |a, &b| max(a, b))
 }
 
-/// Pushes the children that the pyramid may touch, the nearest last.
+/// Pushes the children that the pyramid may intersect, the nearest last.
 #[inline(always)]
 fn push_children(
     node: &Node,
@@ -335,14 +335,14 @@ fn push_children(
     let near_corners = near.corners(node);
     let mut nearest = [0.0f32; WIDTH];
     let mut met = [0u8; WIDTH];
-    // One long loop: the compiler turns it into vectors as wide as a node.
+    // A single long loop, which the compiler vectorizes to the width of a node.
     for k in 0..WIDTH {
         let across = min(left.reach(corners[0], k), right.reach(corners[1], k));
         let along = min(top_side.reach(corners[2], k), bottom.reach(corners[3], k));
         nearest[k] = near.reach(near_corners, k);
         met[k] = u8::from((min(across, along) >= 0.0) & (nearest[k] <= farthest));
     }
-    // One bit set in each byte whose child is touched.
+    // One bit set in each byte whose child is intersected.
     let mut met = u64::from_le_bytes(met);
     let first = top;
     while met != 0 {
@@ -369,7 +369,7 @@ fn intersect<const ANY: bool>(
     hits: &mut Hits,
 ) -> bool {
     let [a, b, c] = triangle.corners.map(|corner| sub(corner, origin));
-    // Edge functions: their common sign tells on which side of each edge the ray passes.
+    // Edge functions: their common sign is the side of each edge on which the ray passes.
     let (bc, ca, ab) = (cross(b, c), cross(c, a), cross(a, b));
     let normal = cross(sub(b, a), sub(c, a));
     let height = dot(normal, a);

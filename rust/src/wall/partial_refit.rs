@@ -1,4 +1,4 @@
-//! Refit of a wall of which only a part has moved, with the same result as a refit of all of it.
+//! Refit of a wall after a part of it has moved, with the same result as a full refit.
 //!
 //! A capsule in a long organ moves a few centimeters of several meters of wall.
 
@@ -6,13 +6,13 @@ use super::{Wall, area_normal, distinct, normal_sum};
 use crate::simd::f32x64::normalize;
 use rayon::prelude::*;
 
-/// One over the share of moved vertices above which all of the wall is refitted.
+/// Inverse of the fraction of moved vertices above which the whole wall is refitted.
 const FEW: usize = 4;
-/// Vertices that one thread compares at a time.
+/// Number of vertices that one thread compares at a time.
 const PART: usize = 8192;
 
 impl Wall {
-    /// Refits what follows from the vertices, given those that have moved; all if that is faster.
+    /// Updates the derived data of the vertices that have moved, or of all if that is faster.
     pub(super) fn refit_changed(&mut self) {
         match self.moved() {
             Some(moved) if self.has_normals => self.refit_around(&moved),
@@ -20,7 +20,7 @@ impl Wall {
         }
     }
 
-    /// Vertices that differ from those before `set_vertices`, in order; None if they are many.
+    /// Vertices that differ from those before `set_vertices`, in order; None if there are many.
     fn moved(&self) -> Option<Vec<u32>> {
         let (now, before) = (self.vertices.par_chunks(PART), self.spare.par_chunks(PART));
         let parts: Vec<Vec<u32>> = now
@@ -36,7 +36,7 @@ impl Wall {
         (FEW * moved.len() < self.vertices.len()).then_some(moved)
     }
 
-    /// Refits hierarchy and vertex normals where vertices have moved.
+    /// Refits hierarchy and vertex normals around the moved vertices.
     fn refit_around(&mut self, moved: &[u32]) {
         let around = |&v: &u32| self.faces_around(v as usize).iter().copied();
         let faces = distinct(self.faces.len(), moved.iter().flat_map(around));

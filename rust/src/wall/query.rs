@@ -9,11 +9,11 @@ const PROBES: [Vec3; 3] = [[0.391, 0.664, 0.637], [-0.772, 0.253, 0.583], [0.214
 /// The nearest point of the wall.
 #[derive(Clone, Copy)]
 pub struct Nearest {
-    /// Its place [m].
+    /// Position [m].
     pub point: Vec3,
-    /// How far it is [m].
+    /// Distance [m].
     pub distance: f32,
-    /// The face it lies on.
+    /// Face on which it lies.
     pub face: u32,
 }
 
@@ -22,7 +22,7 @@ pub fn cast(bvh: &Bvh, origin: Vec3, direction: Vec3) -> Option<(f32, u32)> {
     hit(bvh, origin, direction).map(|(t, triangle)| (t, triangle.face))
 }
 
-/// Whether a point lies in the lumen: most probes first meet the wall's inner side.
+/// True if a point lies in the lumen: most probe rays first hit the wall's inner side.
 pub fn is_inside(bvh: &Bvh, point: Vec3) -> bool {
     let votes = PROBES.iter().filter(|&&probe| {
         hit(bvh, point, probe).is_some_and(|(_, triangle)| {

@@ -1,37 +1,37 @@
-//! One ray through the hierarchy, for rays that have no neighbors.
+//! Single-ray traversal of the hierarchy, for rays without neighbors.
 
 use crate::simd::f32x64::*;
 use crate::wall::bvh::{Bvh, Child, Node, STACK, Triangle, WIDER, WIDTH, inverse};
 use crate::wall::packet::MISS;
 use glam::Vec4;
 
-/// Where a ray meets the wall.
+/// Hit of a ray on the wall.
 #[derive(Clone, Copy)]
 pub struct Hit {
     /// Distance along the ray [m].
     pub distance: f32,
     /// Triangle in leaf order.
     pub triangle: u32,
-    /// As in `tile::Hits::edges`.
+    /// Edge functions as in `packet::Hits::edges`.
     pub edges: Vec3,
-    /// Particle met in place of a triangle: its place in `Contents::chyme`; `MISS` for none.
+    /// Index in `Contents::chyme` of a particle hit before any triangle; `MISS` for none.
     pub particle: u32,
 }
 
-/// A ray, ready to be tested against boxes and triangles.
+/// A ray, prepared for tests against boxes and triangles.
 struct Ray {
     origin: Vec3,
     inverse: Vec3,
     /// Rows of `Node::bounds` where the ray enters a box; it leaves by the others.
     enter: [usize; 3],
     leave: [usize; 3],
-    /// Axes, the one last along which the direction is largest.
+    /// Axes in an order that ends with the one of the largest direction component.
     axes: [usize; 3],
-    /// How the ray drifts along the first two axes per unit of the last, and its length per unit.
+    /// Shift of the ray along the first two axes per unit of the last, and its length per unit.
     shear: Vec3,
 }
 
-/// Boxes of a node's children that a ray meets.
+/// Boxes of a node's children that a ray intersects.
 struct BoxesMet {
     nearest: [f32; WIDTH],
     /// One bit for each child.
@@ -52,7 +52,7 @@ impl Ray {
         Ray { origin, inverse, enter: rows(false), leave: rows(true), axes, shear }
     }
 
-    /// The children whose boxes the ray meets nearer than `farthest`.
+    /// Children whose boxes the ray intersects nearer than `farthest`.
     #[inline(always)]
     fn boxes_met(&self, node: &Node, farthest: f32) -> BoxesMet {
         let mut out = BoxesMet { nearest: [0.0; WIDTH], mask: 0 };
@@ -75,8 +75,8 @@ impl Ray {
         out
     }
 
-    /// Distance and edge functions, if the ray meets the triangle nearer than `farthest`
-    /// (Woop, Benthin and Wald 2013: watertight, as neighbors share the numbers of their edge).
+    /// Distance and edge functions, if the ray hits the triangle nearer than `farthest` (Woop,
+    /// Benthin and Wald 2013: watertight, because neighbors share the values of their edge).
     #[inline(always)]
     fn meet(&self, triangle: &Triangle, farthest: f32) -> Option<(f32, Vec3)> {
         let [kx, ky, kz] = self.axes;
@@ -96,7 +96,7 @@ impl Ray {
     }
 }
 
-/// Room for the nodes that wait to be visited, and how near a ray enters each [m].
+/// Stack of nodes to visit, with the entry distance of a ray into each [m].
 pub struct Pile([(u32, f32); STACK]);
 
 impl Default for Pile {
@@ -105,9 +105,9 @@ impl Default for Pile {
     }
 }
 
-/// The nearest hit within `reach` [m] of a ray with a unit direction; not on triangle `from`.
+/// Nearest hit within `reach` [m] of a ray with a unit direction, except on triangle `from`.
 ///
-/// With `ANY` the first hit found is taken.
+/// With `ANY` the first hit found is returned.
 #[inline(always)]
 pub fn cast<const ANY: bool>(
     bvh: &Bvh,
@@ -119,7 +119,7 @@ pub fn cast<const ANY: bool>(
     cast_in::<ANY>(&mut Pile::default(), bvh, (origin, direction), reach, from)
 }
 
-/// The same in room that is there already, for many rays.
+/// Casts like `cast` with a stack that is reused for many rays.
 #[inline(always)]
 pub fn cast_in<const ANY: bool>(
     Pile(stack): &mut Pile,
@@ -155,7 +155,7 @@ pub fn cast_in<const ANY: bool>(
                 }
             }
         }
-        // The nearest of what waits; what lies beyond the hit is dropped.
+        // Nearest node first; nodes beyond the hit are dropped.
         loop {
             if top == 0 {
                 return found;
@@ -169,7 +169,7 @@ pub fn cast_in<const ANY: bool>(
     }
 }
 
-/// The nearest child touched; the others are pushed, the nearest last.
+/// Returns the nearest intersected child and pushes the others, the nearest last.
 #[inline(always)]
 fn choose(
     node: &Node,

@@ -1,15 +1,15 @@
-//! Which points of the wall are seen from one point: shadows and occlusion.
+//! Visibility of points on the wall from one point: shadows and occlusion.
 
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::packet::{Hits, MISS, Pyramid, trace};
 use rayon::prelude::*;
 
-/// Share of the way that must be free: the point itself lies on the wall.
+/// Fraction of the distance that must be unoccluded: the point itself lies on the wall.
 pub const SHADOW_REACH: f32 = 1.0 - 1e-4;
 
-/// Unit directions from `origin` to each of a tile's points, and how far along them the way must
-/// be free [m]: 0 in lanes not `used`.
+/// Unit directions from `origin` to each of a tile's points, and the distances along them that must
+/// be unoccluded [m]: 0 in lanes not `used`.
 #[inline(always)]
 pub fn shadow_segments(origin: Vec3, points: &Lane3, used: &[bool; LANES]) -> (Lane3, Lane) {
     let (mut directions, mut reach) = ([[0.0; LANES]; 3], [0.0; LANES]);
@@ -25,7 +25,7 @@ pub fn shadow_segments(origin: Vec3, points: &Lane3, used: &[bool; LANES]) -> (L
     (directions, reach)
 }
 
-/// Whether the way from `origin` to each of a tile's points is free; lanes not `used` are false.
+/// `true` where the segment from `origin` to a point of a tile is unoccluded and its lane `used`.
 #[inline(always)]
 pub fn visible_tile(
     wall: &Wall,
@@ -44,7 +44,7 @@ pub fn visible_tile(
     result
 }
 
-/// Whether the way from `origin` to each point is free; points with NaN are not seen.
+/// `true` where the segment from `origin` to a point is unoccluded; false for points with NaN.
 pub fn visible(wall: &Wall, origin: Vec3, points: &[Vec3]) -> Vec<bool> {
     let mut result = vec![false; points.len()];
     result.par_chunks_mut(LANES).zip(points.par_chunks(LANES)).for_each(|(out, chunk)| {

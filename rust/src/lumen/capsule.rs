@@ -1,9 +1,9 @@
-//! The capsule as particles meet it: it pushes spheres away, and bubbles settle on its ends.
+//! Contact of the capsule with particles: it pushes spheres away, and bubbles settle on its ends.
 
 use super::particle::{BOUNCE, Kind, ParticleState};
 use glam::{DQuat, DVec3};
 
-/// Where the capsule is, how it moves, and what it has been given in a step.
+/// Pose and velocity of the capsule, and the impulses on it in a step.
 pub struct Capsule {
     /// Centers of the round ends [m].
     pub ends: [DVec3; 2],
@@ -13,25 +13,25 @@ pub struct Capsule {
     pub mass: f64,
     /// Center of mass [m].
     pub center: DVec3,
-    /// From the capsule's frame.
+    /// Rotation from the capsule's frame.
     pub rotation: DQuat,
     /// Velocity of the center of mass [m/s].
     pub velocity: DVec3,
     /// Angular velocity [rad/s].
     pub spin: DVec3,
-    /// Impulse got so far [N·s].
+    /// Accumulated impulse [N·s].
     pub impulse: DVec3,
     /// Its moment about the center of mass [N·m·s].
     pub moment: DVec3,
 }
 
 impl Capsule {
-    /// From the nearest point of the axis to `p` [m].
+    /// Vector from the nearest point of the axis to `p` [m].
     pub fn offset(&self, p: DVec3) -> DVec3 {
         p - self.foot(p).1
     }
 
-    /// How far along the axis the point nearest to `p` is, 0 to 1, and that point.
+    /// Parameter along the axis of the point nearest to `p`, 0 to 1, and that point.
     fn foot(&self, p: DVec3) -> (f64, DVec3) {
         let [start, end] = self.ends;
         let span = end - start;
@@ -41,27 +41,27 @@ impl Capsule {
         (along, start + along * span)
     }
 
-    /// Velocity of a point that goes with the capsule [m/s].
+    /// Velocity of a point fixed to the capsule [m/s].
     pub fn velocity_at(&self, p: DVec3) -> DVec3 {
         self.velocity + self.spin.cross(p - self.center)
     }
 
-    /// Where a site in the capsule's frame is [m].
+    /// Position of a site in the capsule's frame [m].
     pub fn place(&self, site: DVec3) -> DVec3 {
         self.center + self.rotation * site
     }
 
-    /// The site of a place, see `place`.
+    /// Site of a position; inverse of `place`.
     pub fn site(&self, p: DVec3) -> DVec3 {
         self.rotation.inverse() * (p - self.center)
     }
 
-    /// Pushes a sphere out of the way; the capsule gets the opposite impulse. Returns whether it
-    /// settles on a round end, which `lands` is asked for a bubble that touches one.
+    /// Pushes a sphere out of the capsule, which gets the opposite impulse. Returns true if a
+    /// bubble that touches a round end settles there, as decided by `lands`.
     ///
-    /// The impulse along the normal n that leaves the share e of the speed of approach,
-    /// J = (1 + e) n·(v_c − v) m M / (m + M), with the capsule's whole mass M; one that settles
-    /// takes all of the difference, J = (v_c − v) m M / (m + M).
+    /// The impulse along the normal n that leaves the fraction e of the speed of approach, J = (1 +
+    /// e) n·(v_c − v) m M / (m + M), with the capsule's whole mass M; one that settles cancels the
+    /// whole difference, J = (v_c − v) m M / (m + M).
     pub fn meet(
         &mut self,
         kind: &Kind,
@@ -92,7 +92,7 @@ impl Capsule {
         false
     }
 
-    /// Gives a sphere an impulse [N·s] at a place, and takes it from the capsule.
+    /// Applies an impulse [N·s] to a sphere at a position, and its opposite to the capsule.
     fn push(&mut self, state: &mut ParticleState, mass: f64, place: DVec3, impulse: DVec3) {
         state.velocity += impulse / mass;
         self.velocity -= impulse / self.mass;

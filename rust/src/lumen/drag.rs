@@ -1,4 +1,4 @@
-//! How fast a sphere rises or sinks in a liquid.
+//! Speed of a sphere that rises or sinks in a liquid.
 
 use std::f64::consts::PI;
 
@@ -21,11 +21,11 @@ impl Medium {
         (stokes * (1.0 + 0.15 * power(reynolds, 0.687))).max(bluff)
     }
 
-    /// Speed upwards at which buoyancy and drag balance, negative for a sphere that sinks [m/s].
+    /// Upward speed at which buoyancy and drag balance, negative for a sphere that sinks [m/s].
     pub fn terminal_speed(&self, radius: f64, density: f64, gravity: f64) -> f64 {
         let lift = 4.0 / 3.0 * PI * radius.powi(3) * (self.density - density) * gravity;
         let mut speed = 0.0;
-        // Drag grows with speed, so the balance is bracketed: halve the bracket.
+        // Drag grows with speed, so bisection finds the balance.
         let (mut low, mut high) = (0.0, lift.abs() / self.resistance(radius, 0.0));
         for _ in 0..60 {
             speed = 0.5 * (low + high);
@@ -39,7 +39,7 @@ impl Medium {
     }
 }
 
-/// `x` to the power `y`, the same bits on every machine.
+/// `x` to the power `y`, bit-identical on every machine.
 fn power(x: f64, y: f64) -> f64 {
     f64::from(crate::simd::f32x64::pow(x as f32, y as f32))
 }

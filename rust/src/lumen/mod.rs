@@ -1,4 +1,4 @@
-//! Contents of the lumen: spheres, and how particles and bubbles move.
+//! Contents of the lumen: spheres, and the motion of particles and bubbles.
 
 mod capsule;
 pub mod clump;

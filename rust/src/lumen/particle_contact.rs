@@ -1,13 +1,13 @@
-//! Contact between particles: those that come nearer to one another than they were put push.
+//! Contact between particles that are closer than their initial distance.
 
 use super::particle::{BOUNCE, Kind, ParticleState};
 
-/// Parts pairs of particles and lets them bounce; momentum is kept.
+/// Separates pairs of particles and lets them bounce; momentum is conserved.
 ///
-/// Particles of a clump overlap: a pair touches at the sum of its radii, or at the distance at which
-/// it was put if that is less, so that what is at rest stays so. Pairs come in the order of their
-/// places along x, and of their numbers where these are equal; `moves` says which particles take
-/// part.
+/// Particles of a clump overlap: a pair touches at the sum of its radii, or at its initial distance
+/// if that is less, so that particles at rest remain at rest. Pairs are processed in the order of
+/// their x coordinates, and of their indices if these are equal; `moves` selects the particles that
+/// take part.
 pub fn push_apart(
     kinds: &[Kind],
     states: &mut [ParticleState],

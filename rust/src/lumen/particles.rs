@@ -1,4 +1,4 @@
-//! Spheres in motion: they rise, sink, drift, cling to the wall and give way to the capsule.
+//! Motion of spheres: they rise, sink, drift, adhere to the wall and yield to the capsule.
 
 use super::capsule::Capsule;
 use super::drag::Medium;
@@ -15,24 +15,24 @@ use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2, ndarray::Array2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// Least height of a sphere's center over the wall, as a share of its radius.
+/// Minimum height of a sphere's center above the wall, as a fraction of its radius.
 const CLING: f64 = 0.6;
-/// Least height of a bubble's center over the wall while it rides, as a share of its radius; where
-/// the wall is nearer it wipes the bubble off.
+/// Minimum height of an attached bubble's center above the wall, as a fraction of its radius; a
+/// nearer wall wipes the bubble off.
 const WIPED: f64 = 0.2;
-/// Distance from the capsule within which spheres move in every piece of a sweep [m].
+/// Distance from the capsule within which spheres move in every substep of a sweep [m].
 const BESIDE: f64 = 5e-3;
-/// Tell draws for different purposes apart.
+/// Distinguish random draws for different purposes.
 const LANDING: u32 = 0x9e37_79b9;
 const RELEASE: u32 = 0x85eb_ca6b;
-/// Spheres that a thread moves at a time.
+/// Number of spheres that a thread moves at a time.
 const PART: usize = 256;
 /// Density of gas [kg/m³].
 const GAS: f64 = 1.2;
-/// Share of the displaced liquid that moves with a sphere (added mass, Lamb 1932, art. 92).
+/// Fraction of the displaced liquid that moves with a sphere (added mass, Lamb 1932, art. 92).
 const ADDED: f64 = 0.5;
 
-/// Laws of all spheres.
+/// Parameters of all spheres.
 #[derive(FromPyObject)]
 struct ParticleLaws {
     liquid_density: f64,
@@ -46,7 +46,7 @@ struct ParticleLaws {
     seed: u32,
 }
 
-/// Tangents of the centerline at equal distances.
+/// Tangents of the centerline at uniform distances.
 struct Course {
     tangents: Vec<DVec3>,
     spacing: f64,
@@ -59,9 +59,9 @@ pub struct Particles {
     states: Vec<ParticleState>,
     laws: ParticleLaws,
     course: Course,
-    /// Which spheres move in every piece of the sweep under way; empty between sweeps.
+    /// True for spheres that move in every substep of the current sweep; empty between sweeps.
     beside: Vec<bool>,
-    /// Steps so far: the counter of all random draws.
+    /// Number of steps so far: the counter of all random draws.
     #[pyo3(get, set)]
     count: u32,
 }
@@ -82,7 +82,7 @@ fn vector(a: [f64; 3]) -> DVec3 {
 
 #[pymethods]
 impl Particles {
-    /// Takes spheres at rest in the wall's outside world, and tangents [k 3] of the centerline.
+    /// Creates spheres at rest in the wall's outside world, with tangents [k 3] of the centerline.
     #[new]
     fn new(
         py: Python<'_>,
@@ -108,10 +108,10 @@ impl Particles {
         Ok(Particles { kinds, states, laws, course, beside: Vec::new(), count: 0 })
     }
 
-    /// Moves on by `dt`; returns the impulse [N·s] on the capsule and its moment about `center`.
+    /// Advances by `dt`; returns the impulse [N·s] on the capsule and its moment about `center`.
     ///
-    /// Pieces of time may be bound to a sweep: all but the last have a `sweep` of 0, the last has
-    /// the time of all. What is far from the capsule then moves once a sweep.
+    /// Substeps may form a sweep: all but the last have a `sweep` of 0, the last has the total
+    /// time. Spheres far from the capsule then move once per sweep.
     #[pyo3(signature = (wall, around, dt, sweep=None))]
     fn step(
         &mut self,
@@ -128,8 +128,8 @@ impl Particles {
         (capsule.impulse.to_array(), capsule.moment.to_array())
     }
 
-    /// Position about the wall's center [m], velocity [m/s] and gut coordinate [m] of each, and its
-    /// site on the capsule [m], [n 10].
+    /// Position relative to the wall's center [m], velocity [m/s] and gut coordinate [m] of each,
+    /// and its site on the capsule [m], [n 10].
     #[getter]
     fn states<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
         let flat: Vec<f64> = self
@@ -147,7 +147,7 @@ impl Particles {
     fn set_states(&mut self, states: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
         let rows = states.as_array();
         if rows.dim() != (self.states.len(), 10) || !rows.iter().all(|x| x.is_finite()) {
-            return Err(PyValueError::new_err("Floats are ten finite numbers for each sphere."));
+            return Err(PyValueError::new_err("States are ten finite values for each sphere."));
         }
         for (state, r) in self.states.iter_mut().zip(rows.outer_iter()) {
             *state = ParticleState {
@@ -161,14 +161,14 @@ impl Particles {
         Ok(())
     }
 
-    /// Masses of all spheres, with the liquid that moves along [kg].
+    /// Masses of all spheres, including the added mass of liquid [kg].
     fn masses(&self) -> Vec<f64> {
         self.kinds.iter().map(|kind| mass(&self.laws, kind)).collect()
     }
 }
 
 impl Particles {
-    /// One piece of a sweep: the spheres move, then the capsule meets them.
+    /// Performs one substep of a sweep: the spheres move, then the capsule collides with them.
     fn advance(
         &mut self,
         wall: &Wall,
@@ -203,7 +203,7 @@ impl Particles {
             (beside[k] || sweep > 0.0) && within(s.position, laws.reach)
         };
         push_apart(kinds, states, |kind| mass(laws, kind), moved);
-        // In the order of their numbers: each push changes what the next one meets.
+        // In the order of their indices, because each collision changes the next.
         for (number, (state, kind)) in (0..).zip(states.iter_mut().zip(kinds)) {
             let lands = || draw(laws.seed ^ LANDING, number, self.count, laws.landing_rate * dt);
             if !state.sits() && capsule.meet(kind, state, mass(laws, kind), lands) {
@@ -217,12 +217,12 @@ impl Particles {
     }
 }
 
-/// Whether something that has a chance happens to a sphere now.
+/// True if an event of the given probability happens to a sphere in this step.
 fn draw(seed: u32, number: u32, count: u32, chance: f64) -> bool {
     f64::from(uniform(seed, number, count)) < chance
 }
 
-/// Speed upwards of a sphere in a liquid [m/s], see `Medium::terminal_speed`.
+/// Upward speed of a sphere in a liquid [m/s], see `Medium::terminal_speed`.
 #[pyfunction]
 pub fn terminal_speed(
     radius: f64,
@@ -244,7 +244,7 @@ impl Step<'_> {
         mass(self.laws, kind)
     }
 
-    /// Moves one sphere on by `dt`; what it does depends on itself, the wall and the capsule.
+    /// Advances one sphere by `dt`, depending only on itself, the wall and the capsule.
     fn advance(&self, number: u32, kind: &Kind, state: &mut ParticleState, dt: f64) {
         let laws = self.laws;
         if kind.is_bubble && draw(laws.seed, number, self.count, laws.burst_rate * dt) {
@@ -279,7 +279,7 @@ impl Step<'_> {
             (state.arc_length + displacement.dot(tangent)).clamp(0.0, self.course.length());
     }
 
-    /// Velocity at which a free sphere moves in the end [m/s], `depth` [m] below the level.
+    /// Terminal velocity of a free sphere [m/s], `depth` [m] below the level.
     fn wanted(&self, kind: &Kind, tangent: DVec3, depth: f64, wet: bool, dt: f64) -> DVec3 {
         let drift = self.laws.drift * tangent;
         if !wet {
@@ -287,7 +287,7 @@ impl Step<'_> {
         }
         let density = if kind.is_bubble { GAS } else { self.laws.chyme_density };
         let speed = self.medium().terminal_speed(kind.radius, density, self.around.gravity);
-        // A sphere that rises stops with its middle in the surface.
+        // A rising sphere stops with its center in the surface.
         drift + speed.min(depth / dt) * self.around.up
     }
 
@@ -295,7 +295,7 @@ impl Step<'_> {
         Medium { density: self.laws.liquid_density, viscosity: self.laws.viscosity }
     }
 
-    /// Nearest point of the wall, its normal into the lumen, and the height over it [m].
+    /// Nearest point of the wall, its normal into the lumen, and the height above it [m].
     fn wall_below(&self, position: DVec3) -> (DVec3, DVec3, f64) {
         let nearest = query::nearest(&self.wall.bvh, position.to_array().map(|x| x as f32));
         let point = vector(nearest.point.map(f64::from));
@@ -305,14 +305,14 @@ impl Step<'_> {
         (point, inward, (position - point).dot(inward))
     }
 
-    /// Keeps a sphere in the lumen; out of the liquid it clings at the height where it was put.
+    /// Keeps a sphere in the lumen; out of the liquid it adheres at its initial height.
     fn touch_wall(&self, kind: &Kind, state: &mut ParticleState, wet: bool) {
         let (point, inward, height) = self.wall_below(state.position);
         let least = CLING.min(kind.height / kind.radius) * kind.radius;
         if wet && height >= least {
             return;
         }
-        // Straight off the wall, so that nothing creeps where the wall is at rest.
+        // Along the normal of the wall, so that spheres do not creep on a wall at rest.
         let away =
             if height > 0.0 { (state.position - point).normalize_or(inward) } else { inward };
         state.position = point + if wet { least } else { kind.height } * away;
@@ -334,7 +334,7 @@ impl Course {
     }
 }
 
-/// eˣ for x ≤ 0, the same bits on every machine.
+/// eˣ for x ≤ 0, bit-identical on every machine.
 fn exp(x: f64) -> f64 {
     f64::from(crate::simd::f32x64::exp2((x * std::f64::consts::LOG2_E) as f32))
 }

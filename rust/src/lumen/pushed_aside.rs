@@ -1,4 +1,4 @@
-//! Spheres where a capsule has pushed aside those in its way.
+//! Displacement of spheres by a capsule.
 
 use crate::poses::read_pose;
 use crate::world::body::Axis;
@@ -9,11 +9,11 @@ use numpy::{
 };
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-/// Centers [n 3] of spheres around a capsule [m]: those in its way straight off its axis, the last of
-/// all on their `dome_sites` [k 3] in its frame. None where nothing has moved.
+/// Centers [n 3] of spheres around a capsule [m]: those inside it are moved straight off its axis,
+/// the last ones to their `dome_sites` [k 3] in its frame. None if nothing has moved.
 ///
-/// `pose` takes the capsule's frame, whose z is its axis about its middle, to that of the centers;
-/// `capsule` is half of its straight length and its radius.
+/// `pose` maps the capsule's frame, with the origin at its center and z along its axis, to that of
+/// the centers; `capsule` is half of its straight length and its radius.
 #[pyfunction]
 pub fn around_capsule<'py>(
     py: Python<'py>,
@@ -53,7 +53,7 @@ pub fn around_capsule<'py>(
     Ok(moved.map(|all| all.into_pyarray(py)))
 }
 
-/// Where a sphere goes that is nearer to a capsule's axis than it may come [m].
+/// New center of a sphere that is nearer to a capsule's axis than `need` [m].
 fn pushed(center: DVec3, axis: &Axis, need: f64) -> Option<DVec3> {
     let away = center - axis.nearest(center);
     let distance = away.length();

@@ -1,4 +1,4 @@
-//! Spheres of many sizes and their own hierarchy: bubbles and particles are traced through it.
+//! Spheres of many sizes and their hierarchy, through which bubbles and particles are traced.
 
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
@@ -8,10 +8,10 @@ use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use std::ops::Range;
 
-/// Kinds of spheres, as Python numbers them.
+/// Kinds of spheres, as encoded in Python.
 pub const BUBBLE: u8 = 0;
 
-/// Fixed properties of spheres and where they are.
+/// Fixed properties and positions of spheres.
 #[derive(FromPyObject)]
 pub struct SphereArrays<'py> {
     /// Centers [n 3] in the wall's outside world [m].
@@ -27,26 +27,26 @@ pub struct SphereArrays<'py> {
 /// One sphere.
 #[derive(Clone, Copy)]
 pub struct Sphere {
-    /// Center about the wall's center [m].
+    /// Center, relative to the wall's center [m].
     pub center: Vec3,
     /// Radius [m].
     pub radius: f32,
-    /// Linear color: base color of a particle, of what a bubble's surroundings reflect.
+    /// Linear color: the base color of a particle, or that of a bubble's surroundings.
     pub color: Vec3,
     /// Gut coordinate [m].
     pub arc_length: f32,
-    /// Its place in the arrays it came from.
+    /// Index in the original arrays.
     pub number: u32,
-    /// Instance it belongs to.
+    /// Instance to which it belongs.
     pub instance: u16,
-    /// Beyond it the sphere has no effect [m]: more than its radius in a clump.
+    /// Distance beyond which the sphere has no effect [m]: in a clump larger than its radius.
     pub reach: f32,
-    /// Of the bumps of a particle.
+    /// Phases of the bumps of a particle.
     pub phases: Vec3,
 }
 
 impl SphereArrays<'_> {
-    /// The spheres, about the wall's center.
+    /// Spheres, relative to the wall's center.
     ///
     /// # Errors
     /// If arrays differ in length, a center is not finite or a radius not above 0.
@@ -56,7 +56,7 @@ impl SphereArrays<'_> {
         let lengths =
             [self.radius.len()?, self.kind.len()?, self.instance.len()?, self.arc_length.len()?];
         if centers.ncols() != 3 || color.dim() != (count, 3) || lengths != [count; 4] {
-            return Err(PyValueError::new_err("Spheres need a row of every property for each."));
+            return Err(PyValueError::new_err("Spheres need a row of each property per sphere."));
         }
         let (radius, instance) = (self.radius.as_array(), self.instance.as_array());
         let arc_length = self.arc_length.as_array();
@@ -88,13 +88,13 @@ pub struct Spheres {
     pub all: Vec<Sphere>,
 }
 
-/// A sphere that some rays of a tile may meet.
+/// A sphere that some rays of a tile may hit.
 #[derive(Clone, Copy)]
 pub struct Near {
     /// Squared length of the tangent from the origin to the sphere [m²]: spheres that do not
-    /// overlap lie behind one another in this order along every ray.
+    /// overlap are sorted by it along every ray.
     pub power: f32,
-    /// Place in `Spheres::all`.
+    /// Index in `Spheres::all`.
     pub index: u32,
 }
 
@@ -128,7 +128,7 @@ impl LeafVisitor for Gathering<'_> {
 }
 
 impl Spheres {
-    /// Builds the hierarchy by halving along the longest axis.
+    /// Builds the hierarchy by median splits along the longest axis.
     pub fn build(mut all: Vec<Sphere>) -> Self {
         let mut nodes = Vec::new();
         if !all.is_empty() {
@@ -138,7 +138,7 @@ impl Spheres {
         Spheres { nodes, all }
     }
 
-    /// Moves the spheres to new centers, by their numbers; the tree stays.
+    /// Moves the spheres to new centers, by index; the tree's topology stays.
     pub fn move_to(&mut self, center: impl Fn(usize) -> Vec3) {
         for sphere in &mut self.all {
             sphere.center = center(sphere.number as usize);
@@ -155,7 +155,7 @@ impl Spheres {
         }
     }
 
-    /// The spheres that rays may meet nearer than `farthest`, in no particular order.
+    /// Spheres that rays may hit nearer than `farthest`, unordered.
     #[inline(always)]
     pub fn gather(
         &self,
@@ -170,8 +170,9 @@ impl Spheres {
         leaves(&self.nodes, origin, rays, extent, farthest, &mut gathering);
     }
 
-    /// Visits the spheres within whose reach a ray with a unit `heading` comes nearer than `reach`:
-    /// their places, both crossings, and its squared distance from the center as a share of that of their reach.
+    /// Visits spheres within whose reach a ray with a unit `heading` comes nearer than `reach`:
+    /// index, both crossings, and squared distance of the ray from the center over the squared
+    /// reach.
     #[inline(always)]
     pub fn along(
         &self,
@@ -218,7 +219,7 @@ impl Spheres {
         }
     }
 
-    /// The spheres whose bounds touch the box from `low` to `high`; `power` is about `origin`.
+    /// Spheres whose bounds overlap the box from `low` to `high`; `power` is about `origin`.
     pub fn within(&self, (low, high): (Vec3, Vec3), origin: Vec3, found: &mut Vec<Near>) {
         found.clear();
         let mut waiting = if self.nodes.is_empty() { Vec::new() } else { vec![0] };
@@ -242,19 +243,18 @@ impl Spheres {
     }
 }
 
-/// Where the rays of a tile enter and leave a sphere [m]; −1 for rays that miss it.
+/// Distances at which the rays of a tile enter and leave a sphere [m]; −1 for rays that miss it.
 pub struct Crossings {
-    /// First crossing; negative where the origin is inside or beyond.
+    /// First crossing; negative if the origin is inside or beyond.
     pub near: Lane,
     /// Second crossing.
     pub far: Lane,
-    /// Squared distance of the ray from the center, as a share of the radius' square; above 1
-    /// where it misses.
+    /// Squared distance of the ray from the center over the squared radius; above 1 if it misses.
     pub miss: Lane,
 }
 
 impl Sphere {
-    /// Whether it shares its surface with no other.
+    /// True if it shares its surface with no other sphere.
     #[inline(always)]
     pub fn is_alone(&self) -> bool {
         self.reach == self.radius
@@ -266,7 +266,7 @@ impl Sphere {
         self.crossings_from(|_| origin, directions)
     }
 
-    /// Crossings of unit rays that each start elsewhere.
+    /// Crossings of unit rays with individual origins.
     #[inline(always)]
     pub fn crossings_from(&self, start: impl Fn(usize) -> Vec3, directions: &Lane3) -> Crossings {
         let (square, inverse) = (self.radius * self.radius, 1.0 / (self.radius * self.radius));

@@ -1,18 +1,18 @@
-//! What is around the spheres in one step, as Python says it.
+//! Surroundings of the spheres in one step, as passed by Python.
 
 use super::capsule::Capsule;
 use glam::{DQuat, DVec3};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 
-/// Everything around the spheres in one step; positions are about the wall's center.
+/// Surroundings of the spheres in one step; positions are relative to the wall's center.
 #[derive(FromPyObject)]
 pub struct StepInputs<'py> {
     /// Unit direction against gravity.
     up: [f64; 3],
-    /// Strength of gravity [m/s²].
+    /// Gravitational acceleration [m/s²].
     gravity: f64,
-    /// Stretch [p 2] of each pool along the gut, and its level along `up` [m].
+    /// Section [p 2] of each pool along the gut, and its level along `up` [m].
     stretch: PyReadonlyArray2<'py, f64>,
     levels: PyReadonlyArray1<'py, f64>,
     /// Ends of the capsule's axis [m].
@@ -29,14 +29,14 @@ pub struct StepInputs<'py> {
 pub struct Around {
     /// Unit direction against gravity.
     pub up: DVec3,
-    /// Strength of gravity [m/s²].
+    /// Gravitational acceleration [m/s²].
     pub gravity: f64,
-    /// Stretch of each pool along the gut, and its level along `up` [m].
+    /// Section of each pool along the gut, and its level along `up` [m].
     pools: Vec<([f64; 2], f64)>,
 }
 
 impl StepInputs<'_> {
-    /// All but the capsule.
+    /// Reads gravity and pools.
     pub fn read(&self) -> Around {
         let (stretch, levels) = (self.stretch.as_array(), self.levels.as_array());
         Around {
@@ -46,7 +46,7 @@ impl StepInputs<'_> {
         }
     }
 
-    /// The capsule before anything has met it.
+    /// The capsule before any collision.
     pub fn capsule(&self) -> Capsule {
         let [w, x, y, z] = self.wxyz;
         Capsule {
@@ -64,7 +64,7 @@ impl StepInputs<'_> {
 }
 
 impl Around {
-    /// Level of the pool at a place along the gut [m].
+    /// Level of the pool at an arc length along the gut [m].
     pub fn level(&self, arc_length: f64) -> Option<f64> {
         let holds = |stretch: &[f64; 2]| (stretch[0]..=stretch[1]).contains(&arc_length);
         self.pools.iter().find(|(stretch, _)| holds(stretch)).map(|(_, level)| *level)

@@ -1,29 +1,29 @@
-//! The field about each particle of a clump.
+//! Field around each particle of a clump.
 
 use crate::lumen::spheres::Sphere;
 use crate::mucosa::noise::uniform;
 use crate::simd::f32x64::*;
 
-/// How far beyond its radius a particle of a clump shapes the surface, in radii: κ.
+/// Distance beyond its radius at which a particle of a clump shapes the surface, in radii: κ.
 const BLEND: f32 = 0.5;
 /// Reach of a particle of a clump, in radii.
 pub const REACH: f32 = 1.0 + BLEND;
-/// Height of the field in the middle of a particle: α, for a field of 1 at its radius.
+/// Value of the field at the center of a particle: α, for a field of 1 at its radius.
 pub const PEAK: f32 = 1.0 / (1.0 - 1.0 / (REACH * REACH));
-/// Share by which bumps strengthen or weaken the field: b.
+/// Relative amplitude of the bumps of the field: b.
 const BUMP: f32 = 0.28;
-/// Directions of the waves that bumps are the mean of, times their periods per reach.
+/// Directions of the waves whose mean forms the bumps, times their periods per reach.
 const WAVES: [Vec3; 3] = [[0.94, 0.47, -0.46], [-0.44, 1.08, 0.41], [0.39, -0.41, 1.29]];
 
-/// Phases of the bumps of a particle, by its number.
+/// Phases of the bumps of a particle, by its index.
 pub fn phases(number: u32) -> Vec3 {
     [0, 1, 2].map(|k| uniform(0x57_00_11, number, k))
 }
 
-/// A triangle wave made round, with period 1 and values from −1 to 1, and its slope.
+/// A smoothed triangle wave, with period 1 and values from −1 to 1, and its slope.
 #[inline(always)]
 fn wave(x: f32) -> (f32, f32) {
-    // Adding 1.5 · 2²³ rounds to a whole number.
+    // Adding 1.5 · 2²³ rounds to an integer.
     let u = x - ((x + 12_582_912.0) - 12_582_912.0);
     (8.0 * u * (1.0 - 2.0 * u.abs()), 8.0 * (1.0 - 4.0 * u.abs()))
 }
@@ -37,13 +37,13 @@ pub struct Field {
 }
 
 impl Field {
-    /// Of a particle.
+    /// Field of a particle.
     #[inline(always)]
     pub fn of(sphere: &Sphere) -> Self {
         Field { center: sphere.center, inverse: 1.0 / sphere.reach, phases: sphere.phases }
     }
 
-    /// At a point.
+    /// Value at a point.
     #[inline(always)]
     pub fn at(&self, point: Vec3) -> f32 {
         let offset = scale(sub(point, self.center), self.inverse);

@@ -1,34 +1,34 @@
-//! Rays through a clump: step by step to where they pass its surface.
+//! Ray marching through a clump to the intersections with its surface.
 
 use super::field::PEAK;
 use super::nearby::{Clump, Span};
 use super::rays::Beams;
 use crate::simd::f32x64::*;
 
-/// Length of a step as a share of the way on which the field would become 1 if it rose as fast as
-/// it can; the surface is then between two steps.
+/// Step length as a fraction of the distance at which the field would reach 1 if it rose at its
+/// maximum rate; the surface is then between two steps.
 const STRIDE: f32 = 1.8;
-/// The first step from where the field is 0, as a share of the reach.
+/// First step from a point where the field is 0, as a fraction of the reach.
 const FIRST_STEP: f32 = STRIDE / (2.0 * PEAK);
-/// Least step as a share of the reach: what is thinner along a ray may be missed.
+/// Minimum step as a fraction of the reach: thinner parts along a ray may be missed.
 const LEAST_STEP: f32 = 0.1;
-/// How far from where a ray starts a surface must be, as a share of the reach.
+/// Minimum distance of a surface from the start of a ray, as a fraction of the reach.
 const CLEAR: f32 = 0.02;
-/// Most steps of a ray through a clump.
+/// Maximum number of steps of a ray through a clump.
 const STEPS: usize = 64;
-/// Steps that narrow down the surface between two steps; the way is then known to 1e-6 of a reach.
+/// Iterations between two steps; the distance is then accurate to 1e-6 of a reach.
 const REFINEMENTS: usize = 5;
 
-/// Rays that pass a surface between two steps, and N − 1 there.
+/// Rays that cross the surface between two steps, and N − 1 at both.
 struct Bracket<const N: usize> {
     low: [f32; N],
     high: [f32; N],
     values: [[f32; N]; 2],
 }
 
-/// Rays on their way through a clump.
+/// State of rays in a clump.
 struct March<const N: usize> {
-    /// Where they are [m].
+    /// Current distances [m].
     way: [f32; N],
     going: [bool; N],
     met: [bool; N],
@@ -36,8 +36,8 @@ struct March<const N: usize> {
 }
 
 impl Clump {
-    /// Distances at which rays meet the surface from outside, nearer than `until` [m]; infinity
-    /// where they do not. With `ANY` only whether they do.
+    /// Distances at which rays hit the surface from outside, nearer than `until` [m]; infinity
+    /// without a hit. With `ANY` only the existence of a hit is computed.
     #[inline(always)]
     pub fn meet<const N: usize, const ANY: bool>(
         &self,
@@ -69,8 +69,8 @@ impl Clump {
         std::array::from_fn(|i| if met[i] { ways[i] } else { f32::INFINITY })
     }
 
-    /// Where rays pass the surface within a bracket [m] (Illinois method, Dowell and Jarratt, BIT
-    /// 11, 1971).
+    /// Distances at which rays cross the surface within a bracket [m] (Illinois method, Dowell and
+    /// Jarratt, BIT 11, 1971).
     #[inline(always)]
     fn refine<const N: usize>(
         &self,
@@ -102,13 +102,13 @@ impl Clump {
 }
 
 impl<const N: usize> March<N> {
-    /// Rays where they come within reach.
+    /// Starts rays where they come within reach.
     #[inline(always)]
     fn begin(beams: &Beams<'_, N>, span: &Span<N>) -> Self {
         let mut found = Bracket { low: span.enter, high: span.enter, values: [[1.0; N]; 2] };
         let mut way = [0.0; N];
         for i in 0..N {
-            // Where a ray comes within reach from elsewhere the field is 0.
+            // A ray that comes within reach from elsewhere starts at a field of 0.
             let is_outside = span.enter[i] > beams.from[i];
             found.values[0][i] = if is_outside { -1.0 } else { 1.0 };
             let first = if is_outside { FIRST_STEP } else { CLEAR };
@@ -118,7 +118,7 @@ impl<const N: usize> March<N> {
         March { way, going, met: [false; N], found }
     }
 
-    /// Takes in Σ vᵢ² and Σ vᵢ/Rᵢ where the rays are; how far the next step goes [m].
+    /// Evaluates Σ vᵢ² and Σ vᵢ/Rᵢ at the current distances; returns the next step lengths [m].
     #[inline(always)]
     fn look(&mut self, squares: &[f32; N], slopes: &[f32; N], span: &Span<N>) -> [f32; N] {
         let March { way, going, met, found: Bracket { low, high, values: [below, above] } } = self;
@@ -127,7 +127,7 @@ impl<const N: usize> March<N> {
             let value = squares[i].sqrt();
             let step = FIRST_STEP * (1.0 - value) * value / max(slopes[i], 1e-20);
             onward[i] += max(step, LEAST_STEP * span.finest[i]);
-            // From outside: the step before was.
+            // From outside: the previous step was outside the surface.
             let crosses = going[i] & (value >= 1.0) & (below[i] < 0.0);
             let passes = going[i] & !crosses;
             met[i] |= crosses;
@@ -142,7 +142,7 @@ impl<const N: usize> March<N> {
 }
 
 impl<const N: usize> Bracket<N> {
-    /// Where the line between both ends passes the surface.
+    /// Position at which the line between both ends crosses the surface.
     #[inline(always)]
     fn crossing(&self) -> [f32; N] {
         let Bracket { low, high, values: [below, above] } = self;

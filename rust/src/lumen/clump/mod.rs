@@ -1,10 +1,9 @@
-//! The surface of a clump: a smooth union of bumpy particles, met by rays step by step.
+//! Surface of a clump: a smooth union of bumpy particles, intersected by ray marching.
 //!
-//! About each particle there is a field vᵢ = α (1 − |p − cᵢ|²/Rᵢ²)₊ (1 + b nᵢ), Rᵢ = (1 + κ) rᵢ, that
-//! is 1 where it would have its surface if it had no bumps nᵢ (|nᵢ| ≤ 1, they move with it). The
-//! surface is where N = (Σ vᵢ²)^½ = 1, a soft object (Wyvill, McPheeters, Wyvill, Visual Computer 2,
-//! 1986): its normal is smooth, and nothing of it is farther from a center than Rᵢ, whatever the
-//! bumps.
+//! Each particle has a field vᵢ = α (1 − |p − cᵢ|²/Rᵢ²)₊ (1 + b nᵢ), Rᵢ = (1 + κ) rᵢ, that is 1 at
+//! the radius without bumps nᵢ (|nᵢ| ≤ 1, they move with it). The surface is N = (Σ vᵢ²)^½ = 1, a
+//! soft object (Wyvill, McPheeters, Wyvill, Visual Computer 2, 1986): its normal is smooth, and no
+//! part of it is farther from a center than Rᵢ, whatever the bumps.
 
 mod field;
 mod march;
@@ -23,12 +22,11 @@ use std::ops::Range;
 
 pub use rays::{Beams, Met};
 
-/// Rays that are followed side by side: more would wait for the slowest of them.
+/// Number of rays that are marched together; more would wait for the slowest of them.
 const ROW: usize = 8;
 
 impl Spheres {
-    /// Builds the hierarchy over particles: those of one instance, if there are several, share a
-    /// surface.
+    /// Builds the hierarchy over particles; those of an instance with several share a surface.
     pub fn bound(mut all: Vec<Sphere>) -> Self {
         let mut count = vec![0u32; 1 << 16];
         for sphere in &all {
@@ -42,10 +40,10 @@ impl Spheres {
         Self::build(all)
     }
 
-    /// Ends at particles the rays of a tile that meet one first, and says what they meet. With `ANY`
-    /// it only counts that they do: such ways end at 0.
+    /// Ends the rays of a tile at particles, and returns their hits. With `ANY` only the existence
+    /// of a hit is computed: such rays end at 0.
     ///
-    /// `near` holds all particles that the rays may come within reach of.
+    /// `near` contains all particles within whose reach the rays may come.
     #[inline(always)]
     pub fn meet<const ANY: bool>(
         &self,
@@ -76,7 +74,7 @@ impl Spheres {
         }
     }
 
-    /// `meet` of one ray.
+    /// Runs `meet` for one ray.
     #[inline(always)]
     pub fn meet_ray<const ANY: bool>(
         &self,
@@ -93,11 +91,10 @@ impl Spheres {
         (until[0], met)
     }
 
-    /// Sorts particles so that those of a clump follow one another; the ranges of the clumps, the
-    /// nearest first.
+    /// Sorts particles by clump; returns the ranges of the clumps, the nearest first.
     fn clumps(&self, near: &mut [Near]) -> Vec<Range<usize>> {
         let of = |near: &Near| self.all[near.index as usize].instance;
-        // An order that no hierarchy decides, as sums depend on it.
+        // An order that does not depend on the hierarchy, because sums depend on it.
         near.sort_unstable_by_key(|near| (of(near), self.all[near.index as usize].number));
         let mut groups = Vec::new();
         let mut first = 0;
@@ -110,7 +107,7 @@ impl Spheres {
         groups.into_iter().map(|(_, group)| group).collect()
     }
 
-    /// `meet` of some rays and the particles of one clump.
+    /// Runs `meet` for some rays and the particles of one clump.
     #[inline(always)]
     fn meet_clump<const N: usize, const ANY: bool>(
         &self,
@@ -145,7 +142,7 @@ impl Spheres {
         }
     }
 
-    /// Whether the way from `origin` to each point is free; points with NaN are not.
+    /// `true` where the segment from `origin` to a point is unoccluded; false for points with NaN.
     pub fn free(&self, origin: Vec3, points: &[Vec3], extent: f32) -> Vec<bool> {
         let mut result = vec![false; points.len()];
         result.par_chunks_mut(LANES).zip(points.par_chunks(LANES)).for_each(|(out, chunk)| {
@@ -162,7 +159,7 @@ impl Spheres {
         result
     }
 
-    /// Takes from `lit` the points whose way from `origin` a sphere blocks.
+    /// Removes from `lit` the points that a sphere occludes from `origin`.
     #[inline(always)]
     pub fn shade(
         &self,
@@ -184,7 +181,7 @@ impl Spheres {
         }
     }
 
-    /// What is at a point of a particle's surface.
+    /// Surface properties at a point on a particle.
     pub fn look_at(&self, index: u32, point: Vec3) -> Met<1> {
         let (mut near, mut met) = (Vec::new(), Met::nothing());
         let own = &self.all[index as usize];
@@ -200,7 +197,7 @@ impl Spheres {
     }
 }
 
-/// `Spheres::meet` of some rays and a particle by itself: a ball without bumps.
+/// Runs `Spheres::meet` for some rays and a single particle: a sphere without bumps.
 #[inline(always)]
 fn meet_ball<const N: usize, const ANY: bool>(
     (sphere, index): (&Sphere, u32),

@@ -5,11 +5,11 @@ use super::rays::{Beams, Met, reached};
 use crate::lumen::spheres::{Near, Sphere};
 use crate::simd::f32x64::*;
 
-/// A particle that some rays come within reach of, and where they do [m].
+/// A particle within whose reach some rays come, and their distances there [m].
 pub struct Member {
     field: Field,
     sphere: Sphere,
-    /// Place in `Spheres::all`.
+    /// Index in `Spheres::all`.
     index: u32,
     enter: f32,
     leave: f32,
@@ -17,22 +17,22 @@ pub struct Member {
 
 /// The particles of one clump near some rays.
 pub struct Clump {
-    /// In the order of their numbers.
+    /// In the order of their indices.
     pub members: Vec<Member>,
 }
 
-/// Where rays are within reach of a clump [m].
+/// Distances at which rays are within reach of a clump [m].
 pub struct Span<const N: usize> {
-    /// First.
+    /// First distance.
     pub enter: [f32; N],
-    /// Last.
+    /// Last distance.
     pub leave: [f32; N],
-    /// Smallest reach of the particles that a ray comes near.
+    /// Smallest reach of the particles near a ray.
     pub finest: [f32; N],
 }
 
 impl Clump {
-    /// Takes particles wherever rays are.
+    /// Collects particles regardless of the rays.
     pub fn of(all: &[Sphere], near: &[Near]) -> Self {
         let member = |&Near { index, .. }: &Near| {
             let sphere = all[index as usize];
@@ -41,7 +41,7 @@ impl Clump {
         Clump { members: near.iter().map(member).collect() }
     }
 
-    /// Takes the particles within reach of rays, and where each ray is within reach.
+    /// Collects particles within reach of rays, and the distances at which rays are in reach.
     #[inline(always)]
     pub fn gather<const N: usize>(
         all: &[Sphere],
@@ -76,7 +76,7 @@ impl Clump {
         (Clump { members }, span)
     }
 
-    /// Σ vᵢ² and Σ vᵢ/Rᵢ [1/m] at a distance along each ray; those that do not count may be wrong.
+    /// Σ vᵢ² and Σ vᵢ/Rᵢ [1/m] at a distance along each ray; inactive rays may have wrong values.
     #[inline(always)]
     pub fn field<const N: usize>(
         &self,
@@ -106,7 +106,7 @@ impl Clump {
         (squares, slopes)
     }
 
-    /// Where each ray comes within reach again beyond its `way` [m]; infinity where it does not.
+    /// Distance at which each ray next comes within reach beyond `way` [m]; infinity if never.
     #[inline(always)]
     pub fn next<const N: usize>(&self, beams: &Beams<'_, N>, way: &[f32; N]) -> [f32; N] {
         let mut next = [f32::INFINITY; N];
@@ -120,7 +120,7 @@ impl Clump {
         next
     }
 
-    /// What is at points of the surface, in some lanes.
+    /// Surface properties at points, in some lanes.
     #[inline(always)]
     pub fn look<const N: usize>(
         &self,

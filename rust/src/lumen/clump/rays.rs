@@ -1,39 +1,39 @@
-//! Rays among particles and what they meet.
+//! Rays among particles and their hits.
 
 use crate::lumen::spheres::Sphere;
 use crate::simd::f32x64::*;
 use crate::wall::packet::MISS;
 
-/// Rays, each from where it starts.
+/// Rays with individual origins.
 pub struct Beams<'a, const N: usize> {
-    /// Where they start [m].
+    /// Origins [m].
     pub starts: &'a [[f32; N]; 3],
     /// Unit directions.
     pub headings: &'a [[f32; N]; 3],
-    /// Least distance of what is met [m].
+    /// Minimum distance of hits [m].
     pub from: &'a [f32; N],
 }
 
-/// What rays meet on particles.
+/// Hits of rays on particles.
 #[derive(Clone)]
 pub struct Met<const N: usize> {
-    /// Place in `Spheres::all` of the particle that has the largest share in the surface there;
-    /// `MISS` where none is met.
+    /// Index in `Spheres::all` of the particle that contributes most to the surface at the hit;
+    /// `MISS` without a hit.
     pub owner: [u32; N],
     /// Unit normals, outwards.
     pub normal: [[f32; N]; 3],
-    /// Linear base color: the mean of the particles that share in the surface.
+    /// Linear base color: the weighted mean over the particles that form the surface.
     pub color: [[f32; N]; 3],
 }
 
 impl<const N: usize> Met<N> {
-    /// Nothing met.
+    /// No hits.
     #[inline(always)]
     pub fn nothing() -> Self {
         Met { owner: [MISS; N], normal: [[0.0; N]; 3], color: [[0.0; N]; 3] }
     }
 
-    /// Puts a point of a ball in a lane.
+    /// Sets a lane to a point of a sphere.
     #[inline(always)]
     pub fn put_ball(&mut self, lane: usize, sphere: &Sphere, index: u32, point: Vec3) {
         self.owner[lane] = index;
@@ -43,7 +43,7 @@ impl<const N: usize> Met<N> {
         }
     }
 
-    /// Puts what a lane of others has met in a lane.
+    /// Copies a lane of other hits to a lane.
     #[inline(always)]
     pub fn take<const M: usize>(&mut self, lane: usize, (other, theirs): (&Met<M>, usize)) {
         self.owner[lane] = other.owner[theirs];
@@ -54,7 +54,7 @@ impl<const N: usize> Met<N> {
     }
 }
 
-/// Where rays come within reach of a particle and leave it [m]; −1 for those that do not.
+/// Distances at which rays enter and leave the reach of a particle [m]; −1 for rays that miss it.
 #[inline(always)]
 pub fn reached<const N: usize>(sphere: &Sphere, beams: &Beams<'_, N>) -> [[f32; N]; 2] {
     let (square, mut ways) = (sphere.reach * sphere.reach, [[-1.0; N]; 2]);

@@ -1,4 +1,4 @@
-//! Coverage: which triangles of a wall are the first thing that the pixels of cameras see
+//! Coverage: the triangles of a wall that are the first hit of camera rays
 //! (`vrcaps.metrics.coverage`), for many views in one call.
 
 use crate::pool::on_pool;
@@ -12,24 +12,24 @@ use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// Seen by some pixel.
+/// Visible in some pixel.
 const VISIBLE: u8 = 1;
-/// Seen close and steeply enough to show detail.
+/// Visible at a distance and angle that resolve detail.
 const RESOLVED: u8 = 2;
 
-/// Rays of a camera with the number of its pixels in a steradian.
+/// Rays of a camera with its pixel density per steradian.
 #[derive(Clone, Copy)]
 struct Pixels<'a> {
     rays: &'a RayTable,
-    /// By pixel, row by row [1/sr].
+    /// Density of each pixel, row by row [1/sr].
     per_steradian: &'a [f32],
-    /// Fewest pixels on an area [1/m²].
+    /// Minimum density of pixels on an area [1/m²].
     min_density: f32,
-    /// Least cosine between normal and ray.
+    /// Minimum cosine between normal and ray.
     min_cosine: f32,
 }
 
-/// A camera's place about the wall's center and the rows of its rotation to the world.
+/// Camera position relative to the wall's center and the rows of its rotation to the world.
 struct Eye {
     origin: Vec3,
     to_world: [Vec3; 3],
@@ -43,7 +43,7 @@ impl Eye {
     }
 }
 
-/// Marks what a view of a wall sees in `seen`, a byte of flags for each triangle.
+/// Marks the triangles visible in a view in `seen`, a byte of flags per triangle.
 fn look(wall: &Wall, pixels: &Pixels<'_>, eye: &Eye, seen: &mut [u8]) {
     let columns = pixels.rays.columns();
     for (number, tile) in pixels.rays.tiles.iter().enumerate() {
@@ -76,14 +76,15 @@ fn look_through_tile(
     }
 }
 
-/// Marks the triangles that cameras at poses [n 4 4] see: in `seen` [n m], or in `seen` [1 m] what
-/// any of them sees. Bit 0 is visible, bit 1 resolved. There is one wall for all, or one for each.
+/// Marks the triangles visible from cameras at poses [n 4 4]: in `seen` [n m], or in `seen` [1 m]
+/// for all cameras together. Bit 0 is visible, bit 1 resolved. All poses share one wall, or have
+/// one each.
 ///
 /// # Errors
-/// If numbers of walls, poses, rows and triangles do not fit each other, or a pose is not finite.
+/// If numbers of walls, poses, rows and triangles do not match, or a pose is not finite.
 #[pyfunction]
 #[pyo3(signature = (walls, rays, pixels_per_steradian, poses, seen, *, min_density, min_cosine))]
-#[allow(clippy::too_many_arguments)] // the one door from Python
+#[allow(clippy::too_many_arguments)] // called from Python
 pub fn mark_seen(
     py: Python<'_>,
     walls: Vec<PyRef<'_, Wall>>,

@@ -1,4 +1,4 @@
-//! Measures of what cameras see.
+//! Measures of the views of cameras.
 
 pub mod coverage;
 pub mod point_coverage;

@@ -1,5 +1,5 @@
-//! Coverage of an organ by points on its wall that stand for its area: which of them cameras see,
-//! for many worlds in one call (`vrcaps.metrics.point_coverage`).
+//! Coverage of an organ by sample points on its wall, weighted by area, for many worlds in one call
+//! (`vrcaps.metrics.point_coverage`).
 
 use crate::pool::on_pool;
 use crate::poses::pose_of;
@@ -15,36 +15,37 @@ use numpy::{
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// In the image and near enough, whatever hides it.
+/// In the image and in range, even if occluded.
 const FRUSTUM: u8 = 1;
-/// In the image, and nothing hides it.
+/// In the image and not occluded.
 const VISIBLE: u8 = 2;
-/// Visible close and steeply enough to show detail.
+/// Visible at a distance and angle that resolve detail.
 const RESOLVED: u8 = 4;
-/// Nothing is left to be seen.
+/// All levels reached.
 const ALL: u8 = FRUSTUM | VISIBLE | RESOLVED;
-/// Levels that a point is marked at.
+/// Levels of visibility of a point.
 const LEVELS: [u8; 3] = [FRUSTUM, VISIBLE, RESOLVED];
 
 /// Points that move with the triangles of a wall.
 #[pyclass(module = "vrcaps._core", frozen)]
 pub struct WallPoints {
-    /// Vertices of the triangle that each lies on.
+    /// Vertices of each point's triangle.
     corners: Vec<[u32; 3]>,
-    /// Barycentric weights of the first two.
+    /// Barycentric coordinates for the first two vertices.
     weights: Vec<[f32; 2]>,
-    /// What each point counts at the level `frustum`, and at the others.
+    /// Weight of each point at the level `frustum`, and at the others.
     fractions: Vec<[f64; 2]>,
-    /// Cell of the map that each point lies in.
+    /// Map cell of each point.
     cell: Vec<u32>,
-    /// Largest vertex and cell.
+    /// Maximum index of a vertex and of a cell.
     last: (u32, u32),
 }
 
 #[pymethods]
 impl WallPoints {
-    /// Points on triangles of corners [k 3] with barycentric weights [k 2], fractions of the whole
-    /// that each stands for at `frustum` and at the other levels [k 2], and cells of a map [k].
+    /// Points on triangles of corners [k 3] with barycentric coordinates [k 2], fractions of the
+    /// whole that each represents at `frustum` and at the other levels [k 2], and cells of a map
+    /// [k].
     #[new]
     fn new(
         corners: PyReadonlyArray2<'_, u32>,
@@ -85,12 +86,12 @@ pub struct DirectionTable {
 
 #[pymethods]
 impl DirectionTable {
-    /// From a square table; see `octahedral_directions`.
+    /// Table from a square array; see `octahedral_directions`.
     #[new]
     fn new(density: PyReadonlyArray2<'_, f32>) -> PyResult<Self> {
         let (rows, columns) = density.as_array().dim();
         if rows != columns || rows == 0 {
-            return Err(PyValueError::new_err("A table of directions is square."));
+            return Err(PyValueError::new_err("A table of directions must be square."));
         }
         Ok(DirectionTable { size: rows, density: density.as_slice()?.to_vec() })
     }
@@ -110,7 +111,7 @@ impl DirectionTable {
     }
 }
 
-/// When a point counts as seen.
+/// Criteria of visibility.
 #[derive(Clone, Copy)]
 struct Criteria {
     max_depth: f32,
@@ -118,7 +119,7 @@ struct Criteria {
     min_cosine: f32,
 }
 
-/// One camera beside one wall.
+/// View of one wall by one camera.
 struct Look<'a> {
     wall: &'a Wall,
     points: &'a WallPoints,
@@ -129,8 +130,8 @@ struct Look<'a> {
 }
 
 impl Look<'_> {
-    /// Marks the points that are seen for the first time; adds what they count to `gain` and, at
-    /// `visible`, to the map's `cells`.
+    /// Marks the points that become visible; adds their weights to `gain` and, at `visible`, to the
+    /// map's `cells`.
     fn mark(&self, flags: &mut [u8], cells: &mut [f64], gain: &mut [f64]) {
         let mut pile = Pile::default();
         for (k, way, density) in self.in_image(flags) {
@@ -152,8 +153,8 @@ impl Look<'_> {
         }
     }
 
-    /// Points in the image that are not seen at all levels yet, the way to each and the density of
-    /// pixels there. Pass by pass, so that the memory of one point is fetched while another waits.
+    /// Points in the image that have not reached all levels, the vector to each and the pixel
+    /// density there. Separate passes, so that memory accesses of different points overlap.
     fn in_image(&self, flags: &[u8]) -> Vec<(usize, Vec3, f32)> {
         let open = flags.iter().enumerate().filter(|(_, flag)| **flag != ALL);
         let ways: Vec<_> = open.map(|(k, _)| (k, self.way(k))).collect();
@@ -163,7 +164,7 @@ impl Look<'_> {
         seen.filter(|(.., density)| *density > 0.0).collect()
     }
 
-    /// From the camera to a point.
+    /// Vector from the camera to a point.
     #[inline(always)]
     fn way(&self, k: usize) -> Vec3 {
         let [a, b, c] = self.corners(k);
@@ -176,7 +177,7 @@ impl Look<'_> {
         self.points.corners[k].map(|v| self.wall.vertices[v as usize])
     }
 
-    /// Levels at which a point is seen that has been seen at others.
+    /// Levels of a point in this view; tests occlusion only for levels not yet in `seen`.
     #[inline(always)]
     fn levels(&self, pile: &mut Pile, k: usize, (offset, density): (Vec3, f32), seen: u8) -> u8 {
         let depth = dot(self.to_camera[2], offset);
@@ -208,15 +209,15 @@ impl Look<'_> {
     }
 }
 
-/// Marks the points that a camera sees from poses [n 4 4], one beside each of `walls`, in `flags`,
-/// a byte for each point: bit 0 is frustum, bit 1 visible, bit 2 resolved. Adds to `cells` [n c]
-/// what is visible for the first time, and returns how much of the whole is [n 3].
+/// Marks the points visible to a camera at poses [n 4 4], one in each of `walls`, in `flags`, a
+/// byte per point: bit 0 is frustum, bit 1 visible, bit 2 resolved. Adds to `cells` [n c] the
+/// points that become visible, and returns their fractions of the whole [n 3].
 ///
 /// # Errors
-/// If numbers of walls, points, poses and flags do not fit each other, or a pose is not finite.
+/// If numbers of walls, points, poses and flags do not match, or a pose is not finite.
 #[pyfunction]
 #[pyo3(signature = (walls, points, table, poses, flags, cells, *, max_depth, min_density, min_cosine))]
-#[allow(clippy::too_many_arguments)] // the one door from Python
+#[allow(clippy::too_many_arguments)] // called from Python
 pub fn mark_points<'py>(
     py: Python<'py>,
     walls: Vec<PyRef<'py, Wall>>,

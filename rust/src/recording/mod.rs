@@ -1,3 +1,3 @@
-//! What recordings write: PNG files.
+//! Writers of recordings: PNG files.
 
 pub mod png;

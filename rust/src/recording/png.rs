@@ -1,4 +1,4 @@
-//! PNG files: written in parallel and whole, read back exactly.
+//! PNG files: written in parallel and atomically, read back exactly.
 
 use crate::pool::{detached, map};
 use numpy::{
@@ -20,7 +20,7 @@ use std::{
     path::Path,
 };
 
-/// An image as PNG stores it: 16-bit numbers with the high byte first.
+/// Image in PNG's layout: 16-bit numbers with the high byte first.
 struct Image {
     width: u32,
     height: u32,
@@ -57,7 +57,8 @@ impl Image {
         let mut encoder = png::Encoder::new(&mut file, self.width, self.height);
         encoder.set_color(self.color);
         encoder.set_depth(self.depth);
-        // Slower settings take over ten times as long for a seventh less (docs/concepts/datasets.md).
+        // Slower settings take over ten times as long for a seventh less
+        // (docs/concepts/datasets.md).
         encoder.set_compression(png::Compression::Fast);
         encoder.set_filter(png::Filter::Paeth);
         let mut writer = encoder.write_header()?;
@@ -67,7 +68,7 @@ impl Image {
     }
 }
 
-/// 16-bit numbers as bytes, the high one first.
+/// Bytes of 16-bit numbers, the high one first.
 fn big_endian(numbers: &[u16]) -> Vec<u8> {
     let mut bytes = vec![0; 2 * numbers.len()];
     for (pair, number) in bytes.as_chunks_mut().0.iter_mut().zip(numbers) {
@@ -78,8 +79,7 @@ fn big_endian(numbers: &[u16]) -> Vec<u8> {
 
 const ATTEMPTS: usize = 3;
 
-/// Writes a file under a unique temporary name, to the disk, then renames it: it is whole or not
-/// there.
+/// Writes a file atomically: to the disk under a unique temporary name, then renames it.
 fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut written = Ok(());
@@ -91,7 +91,7 @@ fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
             // `temporary_files.remove_stale` of another process came before the lock.
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
             Err(_) => {
-                // The error that counts is the first one; a temporary file may not even exist.
+                // Keeps the first error; a temporary file may not even exist.
                 let _ = fs::remove_file(&temporary);
                 break;
             }
@@ -101,8 +101,8 @@ fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     written
 }
 
-/// Writes a file, locked as one of a running process, and renames it when its bytes have reached
-/// the disk.
+/// Writes a file, locked as one of a running process, and renames it when its bytes are on the
+/// disk.
 fn write_and_rename(temporary: &Path, path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut file = File::create(temporary)?;
     if cfg!(unix) {
@@ -124,11 +124,11 @@ fn os_error(path: &str, error: &io::Error) -> PyErr {
     }
 }
 
-/// 2²³, from which on floats are whole numbers.
+/// Value 2²³, from which on floats are integers.
 const WHOLE: f32 = 8_388_608.0;
 
-/// 16-bit steps of a float image: round((value − offset) / scale), 0 where any component of the
-/// pixel is NaN or outside 1 to 65535.
+/// Quantizes a float image to 16 bits: round((value − offset) / scale), 0 where any component of
+/// the pixel is NaN or outside 1 to 65535.
 ///
 /// `values` is of shape (h, w) or (h, w, components) and C-contiguous.
 #[pyfunction]
@@ -147,7 +147,7 @@ pub fn quantize<'py>(
     detached(py, || {
         steps.par_chunks_mut(rows).zip(pixels.par_chunks(rows)).for_each(|(out, row)| {
             for (step, &value) in out.iter_mut().zip(row) {
-                // Whole numbers of 0 to 2²³ are in the low bits then, ties rounded to even.
+                // Integers of 0 to 2²³ are then in the low bits, ties rounded to even.
                 let shifted = (value - offset) * per_unit + WHOLE;
                 let is_valid = (WHOLE + 1.0..=WHOLE + 65535.0).contains(&shifted);
                 *step = if is_valid { shifted.to_bits() as u16 } else { 0 };
@@ -161,9 +161,9 @@ pub fn quantize<'py>(
     Ok(array.map_err(|e| PyValueError::new_err(e.to_string()))?.into_pyarray(py))
 }
 
-/// Writes PNG files, encoded in parallel, each whole or not at all.
+/// Writes PNG files, encoded in parallel, each atomically.
 ///
-/// They are written by the thread that calls: those of the pool that renders never wait for a disk.
+/// The calling thread writes them, so that threads of the render pool never wait for a disk.
 ///
 /// `items` holds paths and arrays of uint8 or uint16, of shape (h, w) or (h, w, 3).
 #[pyfunction]
@@ -184,7 +184,7 @@ pub fn write_pngs(py: Python<'_>, items: Vec<(String, Bound<'_, PyAny>)>) -> PyR
     })
 }
 
-/// PNG files of arrays of uint8 or uint16, of shape (h, w) or (h, w, 3), encoded in parallel.
+/// Encodes arrays of uint8 or uint16, of shape (h, w) or (h, w, 3), as PNG files, in parallel.
 #[pyfunction]
 pub fn encode_pngs<'py>(
     py: Python<'py>,
@@ -204,7 +204,7 @@ pub fn read_png<'py>(py: Python<'py>, path: String) -> PyResult<Bound<'py, PyAny
     array.map_err(|e| PyValueError::new_err(format!("{path}: {e}")))
 }
 
-/// Arrays of PNG files of 8 or 16 bits, gray or RGB, each given as uint8; decoded in parallel.
+/// Decodes PNG files of 8 or 16 bits, gray or RGB, each given as uint8, in parallel.
 #[pyfunction]
 pub fn decode_pngs<'py>(
     py: Python<'py>,
@@ -216,7 +216,7 @@ pub fn decode_pngs<'py>(
     arrays.collect::<Result<_, _>>().map_err(PyValueError::new_err::<String>)
 }
 
-/// Numbers of an image and its shape.
+/// Pixel values of an image and its shape.
 struct Pixels {
     shape: Vec<usize>,
     is_wide: bool,
@@ -249,7 +249,7 @@ fn decode(bytes: &[u8]) -> Result<Pixels, String> {
     Ok(Pixels { shape, is_wide: info.bit_depth == BitDepth::Sixteen, bytes })
 }
 
-/// Most bytes that one byte of deflate can stand for (zlib's technical notes: 1032).
+/// Maximum number of bytes per byte of deflate (zlib's technical notes: 1032).
 const MOST_EXPANSION: usize = 1040;
 
 fn unpack(bytes: &[u8]) -> Result<(png::OutputInfo, Vec<u8>), String> {

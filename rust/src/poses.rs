@@ -4,7 +4,7 @@ use glam::{DMat3, DVec3};
 use numpy::PyReadonlyArray2;
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-/// All numbers of an array of rows with a number of columns.
+/// Numbers of an array of rows with a number of columns.
 pub fn rows(array: &PyReadonlyArray2<'_, f64>, columns: usize) -> PyResult<Vec<f64>> {
     let view = array.as_array();
     if view.ncols() != columns {
@@ -13,12 +13,12 @@ pub fn rows(array: &PyReadonlyArray2<'_, f64>, columns: usize) -> PyResult<Vec<f
     Ok(view.iter().copied().collect())
 }
 
-/// The three rows of three numbers of an array [3 3].
+/// Three rows of three numbers of an array [3 3].
 pub fn three_rows(array: &PyReadonlyArray2<'_, f64>) -> PyResult<DMat3> {
     square(array, 3).map(|flat| DMat3::from_cols_slice(&flat))
 }
 
-/// All numbers of an array of as many rows as columns.
+/// Numbers of a square array.
 pub fn square(array: &PyReadonlyArray2<'_, f64>, size: usize) -> PyResult<Vec<f64>> {
     if array.as_array().dim() != (size, size) {
         return Err(PyValueError::new_err(format!(
@@ -28,7 +28,7 @@ pub fn square(array: &PyReadonlyArray2<'_, f64>, size: usize) -> PyResult<Vec<f6
     rows(array, size)
 }
 
-/// The vector of the first three numbers.
+/// Vector of the first three numbers.
 pub fn vector(v: &[f64]) -> DVec3 {
     DVec3::new(v[0], v[1], v[2])
 }
@@ -44,7 +44,7 @@ pub fn read_pose(array: &PyReadonlyArray2<'_, f64>) -> PyResult<(DMat3, DVec3)> 
     Ok(pose_of(&square(array, 4)?))
 }
 
-/// Four rows of a pose.
+/// Rows of a pose.
 pub fn pose_rows(rotation: &DMat3, place: DVec3) -> [f64; 16] {
     let [x, y, z] = [rotation.x_axis, rotation.y_axis, rotation.z_axis];
     let p = place;

@@ -44,7 +44,7 @@ HEAD = (
 class Rest:
     """No motion of the magnet."""
 
-    requires = Requirements({"control_period": 0.1}, actuations=("magnet",))
+    requires = Requirements({"control_period": 0.1}, actuations=("magnet", "arm"))
 
     def reset(self, indices: np.ndarray, seeds: Sequence[int]) -> None:
         """Do nothing."""
@@ -54,8 +54,8 @@ class Rest:
         return np.zeros((env.num_envs, 6), np.float32)
 
 
-class RandomTwist(Rest):
-    """Uniformly random twist of the magnet, held for a second."""
+class RandomAction(Rest):
+    """Uniformly random twist of the magnet, or velocities of joints, held for a second."""
 
     def __init__(self) -> None:
         self._draws: dict[int, np.random.Generator] = {}
@@ -69,9 +69,10 @@ class RandomTwist(Rest):
             self._draws[index] = rng.stream(int(seed), "benchmark/random-twist")
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
-        """Return the held twists."""
+        """Return the held actions."""
+        count = env.single_action_space.shape[0]
         if self._count % round(1.0 / env.settings.control_period) == 0:
-            self._held = {k: draw.uniform(-1.0, 1.0, 6) for k, draw in self._draws.items()}
+            self._held = {k: draw.uniform(-1.0, 1.0, count) for k, draw in self._draws.items()}
         self._count += 1
         return np.array([self._held[k] for k in range(env.num_envs)], np.float32)
 
@@ -109,9 +110,12 @@ EXACT = (StateObservation(), ImageObservation("ray_distance", size=(40, 40)))
 TRAINED = "imitation of `explorer` by a network, magnet"
 CASES = {
     "rest": Case("magnet at rest", organs=10),
-    "random": Case("random twist", make=RandomTwist, organs=10),
+    "random": Case("random twist", make=RandomAction, organs=10),
     "explorer": Case("`explorer`, magnet", "explorer"),
     "arm": Case("`explorer`, arm", "explorer", {"actuation": "arm"}, organs=10),
+    "random-arm": Case(
+        "random joint velocities, arm", changes={"actuation": "arm"}, make=RandomAction, organs=10
+    ),
     "exact": Case(
         "`explorer`, magnet, true pose, exact distances", "explorer", {"observations": EXACT}
     ),
@@ -220,22 +224,23 @@ def difference_row(title: str, ours: Evaluation, theirs: Evaluation) -> tuple[st
 
 def distance(found: dict[str, Evaluation]) -> str:
     """Paragraph on the distance to the ideal policy."""
-    device, arm, ideal, blind, rest = (
+    device, arm, ideal, blind, blind_arm, rest = (
         [100.0 - value for value, _ in coverage_cells(found[name])]
-        for name in ("explorer", "arm", "ideal", "random", "rest")
+        for name in ("explorer", "arm", "ideal", "random", "random-arm", "rest")
     )
-    left, by_arm, unseen = (
-        ", ".join(f"{value:.1f} %" for value in values) for values in (device, arm, blind)
+    left, by_arm, unseen, unseen_arm = (
+        ", ".join(f"{value:.1f} %" for value in values)
+        for values in (device, arm, blind, blind_arm)
     )
     ends = ", ".join(f"{time:g} s" for time in TIMES)
     return f"""**Distance to the ideal policy.** At {ends} the planner with the observations
 of a device leaves {left} of the wall unseen by magnet, and {by_arm} by the arm, whose joints
 move at a tenth of their limits; the ideal policy leaves {ideal[0]:.2f} % at the first of these
 times. A random twist, which observes nothing, leaves {unseen}: with a view of 170° almost any
-motion shows most of a stomach at rest, and the planner is ahead by the remaining percents. The
-magnet at rest leaves {rest[-1]:.1f} %. Not simulated: motion of the stomach, mucus and bubbles in
-the image, a depth network, the delay of a robot, errors of the magnet's model, and a tracker that
-loses the capsule."""
+motion shows most of a stomach at rest, and the planner is ahead by the remaining percents. Random
+velocities of the arm's joints leave {unseen_arm}. The magnet at rest leaves {rest[-1]:.1f} %. Not
+simulated: motion of the stomach, mucus and bubbles in the image, a depth network, the delay of a
+robot, errors of the magnet's model, and a tracker that loses the capsule."""
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -58,3 +59,13 @@ def test_a_teacher_must_fit() -> None:
     with pytest.raises(InputError, match="explorer acts by magnet or arm"):
         imitate(learner, read_policy("explorer"))
     learner.close()
+
+
+@pytest.mark.parametrize("name", ["centerline", "random", "next-best-view"])
+def test_a_teacher_acts_by_observations(name: str, tmp_path: Path) -> None:
+    """A network cannot infer the actions of one that reads the true state."""
+    given = settings()
+    given = replace(given, learner=replace(given.learner, teacher=name))
+    with pytest.raises(InputError, match=rf"learner\.teacher is '{name}', .* Allowed: explorer"):
+        train(given, tmp_path / "out")
+    assert not (tmp_path / "out").exists()

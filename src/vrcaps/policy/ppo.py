@@ -52,8 +52,8 @@ class PpoSettings:
         is_normalized: Whether observations and rewards are normalized by their running statistics.
         evaluate_every: Rounds between evaluations; 0 for none.
         evaluation_episodes: Number of episodes of an evaluation, always the same ones.
-        teacher: Policy without training that is imitated before the first round, see `imitate`;
-            empty for none.
+        teacher: Policy that is imitated before the first round, see `imitate`; it must act by
+            observations. Empty for none.
         teacher_rounds: Number of rounds of its demonstrations.
     """
 

@@ -89,11 +89,12 @@ def train(
 
     Raises:
         InputError: If the folder holds something else, or a training of other settings or versions,
-            or the start does not fit the settings.
+            the start does not fit the settings, or the teacher acts by no observations.
         UnknownNameError: If there is no organ or no capsule of a name.
         MissingExtraError: If a package of the learner is not installed.
     """
     check_names(settings.env.organs, settings.env.capsule)
+    _require_teacher(settings.learner.teacher)
     stated = plain_settings(settings)
     if start is not None:
         stated["start"] = file_sha256(start_file(start))
@@ -116,6 +117,15 @@ def train(
         progress = run_training(_Run(settings, out, learner), report)
         learner.close()
     return progress
+
+
+def _require_teacher(name: str) -> None:
+    """Check that a learner's teacher acts by observations, from which it can be imitated."""
+    if name and not read_policy(name).requires.observations:
+        raise InputError(
+            f"learner.teacher is {name!r}, which acts by the true state of the simulation or at "
+            "random, not by observations. Allowed: explorer, or a trained policy's file."
+        )
 
 
 class _Run:

@@ -263,13 +263,14 @@ def _masses(path: Path, robot: Any, offsets: _Offsets) -> tuple[LinkMass, ...]:
         mass = sum(row[0] for row in rows)
         center = np.sum([row[0] * row[1] for row in rows], axis=0) / mass
         tensor = np.zeros((3, 3))
-        for part, at, own in rows:  # parallel axes
-            away = at - center
+        for part, position, own in rows:  # parallel axes
+            away = position - center
             tensor += own + part * (away @ away * np.eye(3) - np.outer(away, away))
         inertia: Any = (*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2])
         inertia = tuple(map(float, inertia)) if tensor.any() else None
         try:
-            masses.append(LinkMass(frame, mass, tuple(map(float, center)), inertia))
+            at: Any = tuple(map(float, center))
+            masses.append(LinkMass(frame, mass, at, inertia))
         except InputError as error:
             raise InputError(
                 f"{path}: <inertial> after {frame} joints: {error} Mend it, or give masses = false "

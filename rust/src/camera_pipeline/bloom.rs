@@ -1,4 +1,4 @@
-//! Bloom and veiling glare: light that the lens and its dome scatter about its image.
+//! Bloom and veiling glare: light that the lens and its dome scatter around its image.
 
 use super::planes::{Line, planes_array, rows, size};
 use crate::pool::on_pool;
@@ -6,21 +6,21 @@ use numpy::{PyArray3, PyReadonlyArray3};
 use pyo3::prelude::*;
 use rayon::prelude::*;
 
-/// Pixels to a side that the scattered light is gathered from: it varies slowly.
+/// Side in pixels of the cells in which scattered light is computed, because it varies slowly.
 const CELL: usize = 4;
-/// Pixels before the middle of the first cell.
+/// Offset of the first cell's center [px].
 const HALF: usize = CELL / 2;
-/// Weights of the second of two cells in pixels between their middles.
+/// Weights of the second of two cells at the pixels between their centers.
 const WEIGHTS: [f32; CELL] = [0.125, 0.375, 0.625, 0.875];
 /// Width of the veil, relative to the halo.
 const VEIL: f32 = 4.0;
-/// Standard deviation in cells from which light is gathered from cells of cells.
+/// Standard deviation in cells above which a coarser grid of cells is used.
 const WIDE: f32 = 8.0;
 
 /// The image with a fraction of its light scattered.
 ///
-/// The point-spread function is `(1 − fraction) δ + fraction (G(σ) + G(4σ)) / 2`, with Gaussians G of
-/// standard deviation σ = `sigma` [px]; light that leaves the image is lost.
+/// The point-spread function is `(1 − fraction) δ + fraction (G(σ) + G(4σ)) / 2`, with Gaussians G
+/// of standard deviation σ = `sigma` [px]; light that leaves the image is lost.
 #[pyfunction]
 pub fn bloom<'py>(
     py: Python<'py>,
@@ -47,7 +47,7 @@ pub fn bloom<'py>(
 /// Fraction of the light that is scattered, and its distance [px].
 #[derive(Clone, Copy)]
 pub struct Bloom {
-    /// Share of the light.
+    /// Fraction of the light.
     pub fraction: f32,
     /// Standard deviation of the halo.
     pub sigma: f32,
@@ -57,7 +57,7 @@ pub struct Bloom {
 pub struct Scattered {
     fraction: f32,
     height: usize,
-    /// Rows of each plane by cells, each as wide as the image, times the fraction.
+    /// Planes with one row per row of cells, each as wide as the image, times the fraction.
     planes: [Vec<f32>; 3],
     width: usize,
 }
@@ -90,7 +90,7 @@ impl Bloom {
 }
 
 impl Scattered {
-    /// Makes one row of the image that of direct and scattered light.
+    /// Adds scattered light to the unscattered fraction of one row of the image.
     pub fn mix_into(&self, y: usize, line: &mut Line<'_>) {
         let (top, bottom, t) = between(y, self.height.div_ceil(CELL));
         for (plane, row) in self.planes.iter().zip(line) {
@@ -100,7 +100,7 @@ impl Scattered {
     }
 }
 
-/// `blurred` of what is so wide that it may be gathered from coarser cells.
+/// Runs `blurred` for a Gaussian that is wide enough for coarser cells.
 fn widely_blurred(cells: &[f32], (rows, columns): (usize, usize), sigma: f32) -> Vec<f32> {
     if sigma < WIDE {
         return blurred(cells, (rows, columns), sigma);
@@ -120,20 +120,20 @@ fn widely_blurred(cells: &[f32], (rows, columns): (usize, usize), sigma: f32) ->
     out
 }
 
-/// Standard deviation in cells: spreading to cells and interpolating have blurred by c²/6 each.
+/// Standard deviation in cells: downsampling and interpolation have blurred by c²/6 each.
 fn cell_sigma(sigma: f32) -> f32 {
     let cell = CELL as f32;
     (sigma * sigma - cell * cell / 3.0).max(0.0).sqrt() / cell
 }
 
-/// The cells on both sides of a pixel, and its fraction of the second.
+/// Cells on both sides of a pixel, and the weight of the second.
 fn between(fine: usize, count: usize) -> (usize, usize, f32) {
     let at = ((fine as f32 + 0.5) / CELL as f32 - 0.5).clamp(0.0, count as f32 - 1.0);
     (at as usize, (at as usize + 1).min(count - 1), at - (at as usize) as f32)
 }
 
-/// Light of a row of cells, as a mean: each pixel's goes to the nearest cells, so that its place is
-/// kept.
+/// Mean light of a row of cells: each pixel's light goes to the nearest cells, so that its position
+/// is kept.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -141,7 +141,7 @@ fn between(fine: usize, count: usize) -> (usize, usize, f32) {
 ))]
 fn gather_row(plane: &[f32], (height, width): (usize, usize), cell: usize, line: &mut [f32]) {
     let (rows, columns) = (height.div_ceil(CELL), line.len());
-    // Down first, whole rows at a time, then along the one that is left.
+    // Whole rows are summed vertically first, then the resulting row horizontally.
     let mut tall = vec![0.0f32; width];
     let (first, last) =
         ((cell * CELL).saturating_sub(HALF), ((cell + 1) * CELL + HALF).min(height));
@@ -167,7 +167,7 @@ fn gather_row(plane: &[f32], (height, width): (usize, usize), cell: usize, line:
     }
 }
 
-/// Convolution with a Gaussian, dark outside.
+/// Convolution with a Gaussian, 0 outside the image.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -183,7 +183,7 @@ fn blurred(cells: &[f32], (rows, columns): (usize, usize), sigma: f32) -> Vec<f3
         .collect();
     let whole: f32 = raw.iter().sum();
     let kernel: Vec<f32> = raw.iter().map(|w| w / whole).collect();
-    // First along, with nothing beside the image, then down, with nothing above and below.
+    // Horizontally first, then vertically, with zeros outside the image.
     let stride = columns + 2 * reach;
     let mut wide = vec![0.0; rows * stride];
     for (line, from) in wide.chunks_exact_mut(stride).zip(cells.chunks_exact(columns)) {
@@ -199,7 +199,7 @@ fn blurred(cells: &[f32], (rows, columns): (usize, usize), sigma: f32) -> Vec<f3
     out
 }
 
-/// Sums of numbers that are `step` apart, weighted by a kernel.
+/// Weighted sums of values at a distance of `step`, by a kernel.
 #[inline(always)]
 pub fn convolve(source: &[f32], kernel: &[f32], step: usize, out: &mut [f32]) {
     let begin = sums::<64>(source, kernel, step, 0, out);
@@ -207,7 +207,7 @@ pub fn convolve(source: &[f32], kernel: &[f32], step: usize, out: &mut [f32]) {
     sums::<1>(source, kernel, step, begin, out);
 }
 
-/// The same from one sum on, N at a time, as many as there are whole; returns the next.
+/// Computes sums from one index on, N at a time as long as N are left; returns the next index.
 #[inline(always)]
 fn sums<const N: usize>(
     source: &[f32],
@@ -230,7 +230,7 @@ fn sums<const N: usize>(
     begin
 }
 
-/// Rows of cells at full width, linear between the middles of cells.
+/// Rows of cells at full width, interpolated linearly between the centers of cells.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -251,7 +251,7 @@ fn across(cells: &[f32], (rows, columns): (usize, usize), width: usize) -> Vec<f
     wide
 }
 
-/// A fraction of a row, and what is between two rows.
+/// Blends a fraction of a row with the interpolation of two rows.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",

@@ -1,11 +1,11 @@
-//! The cosine transform of blocks of 8 by 8 numbers.
+//! Discrete cosine transform of blocks of 8 × 8 values.
 
-/// Numbers of a block, row by row.
+/// Values of a block, row by row.
 pub type Block = [f32; 64];
-/// A matrix of 8 by 8 numbers.
+/// A matrix of 8 × 8 values.
 pub type Basis = [[f32; 8]; 8];
 
-/// Rows are the orthonormal cosines of the transform of 8 numbers.
+/// Matrix whose rows are the orthonormal cosines of the transform of 8 values.
 fn basis() -> Basis {
     let mut rows = [[0.0; 8]; 8];
     for (k, row) in rows.iter_mut().enumerate() {
@@ -49,7 +49,7 @@ fn transposed(m: &Basis) -> Basis {
     out
 }
 
-/// The cosine transform and its inverse, as `transform_2d` takes them.
+/// Matrices of the cosine transform and its inverse, in the form that `transform_2d` takes.
 pub fn bases() -> ([Basis; 2], [Basis; 2]) {
     let basis = basis();
     let back = transposed(&basis);

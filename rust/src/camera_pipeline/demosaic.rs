@@ -1,4 +1,4 @@
-//! Colors of all pixels from a mosaic of one color each.
+//! Demosaicing: colors of all pixels from a mosaic of one color each.
 
 use super::planes::{Line, planes_array, rows};
 use crate::pool::on_pool;
@@ -6,10 +6,10 @@ use numpy::{PyArray3, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// Planes [3 h w] of a mosaic [1 h w] whose 2 by 2 sites see `colors`.
+/// Planes [3 h w] of a mosaic [1 h w] whose 2 × 2 sites have `colors`.
 ///
-/// Each missing color is linear in 5 by 5 sites, with the curvature of the color that is there
-/// (Malvar, He, Cutler, ICASSP 2004). At its edge the mosaic is mirrored.
+/// Each missing color is a linear function of 5 × 5 sites, with the curvature of the known color
+/// (Malvar, He, Cutler, ICASSP 2004). The mosaic is mirrored at its edge.
 #[pyfunction]
 pub fn demosaic<'py>(
     py: Python<'py>,
@@ -33,7 +33,7 @@ pub fn demosaic<'py>(
     Ok(planes_array(py, out, (height, width)))
 }
 
-/// A mosaic with two more sites to each side.
+/// A mosaic padded by two sites on each side.
 pub fn mirrored_about(mosaic: &[f32], (height, width): (usize, usize)) -> Vec<f32> {
     let stride = width + 4;
     let mut padded = vec![0.0; (height + 4) * stride];
@@ -47,14 +47,14 @@ pub fn mirrored_about(mosaic: &[f32], (height, width): (usize, usize)) -> Vec<f3
     padded
 }
 
-/// Colors of one row of a mosaic that has been `mirrored_about`.
+/// Colors of one row of a mosaic padded by `mirrored_about`.
 pub fn demosaic_line(padded: &[f32], y: usize, colors: [usize; 4], row: &mut Line<'_>) {
     let stride = row[0].len() + 4;
     let lines = [0, 1, 2, 3, 4].map(|k| &padded[(y + k) * stride..][..stride]);
     demosaic_row(lines, [colors[y % 2 * 2], colors[y % 2 * 2 + 1]], row);
 }
 
-/// An index mirrored about the first and the last, which keeps its color.
+/// Index mirrored about the first and the last, which preserves its color.
 fn mirrored(index: isize, count: usize) -> usize {
     let last = count as isize - 1;
     let index = index.abs();
@@ -81,7 +81,7 @@ fn demosaic_row(lines: [&[f32]; 5], colors: [usize; 2], out: &mut Line<'_>) {
         across[x] = (level + 4.0 * ends - far_ends + 0.5 * far_sides) * 0.125;
         diagonal[x] = (6.0 * own + 2.0 * corners - 1.5 * (far_sides + far_ends)) * 0.125;
     }
-    // The color of this row's sites other than green.
+    // Color of this row's sites other than green.
     let here = if colors[0] == 1 { colors[1] } else { colors[0] };
     let own = &c[2..];
     for (color, plane) in out.iter_mut().enumerate() {

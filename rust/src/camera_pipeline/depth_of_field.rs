@@ -1,4 +1,4 @@
-//! Blur of what is out of focus, by the circle of confusion of a thin lens.
+//! Defocus blur by the circle of confusion of a thin lens.
 
 use super::dome::totals;
 use super::planes::{Line, planes_array, rows, size};
@@ -9,49 +9,49 @@ use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods}
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// Largest radius of the circle of confusion [px]; one beyond it is taken as this.
+/// Maximum radius of the circle of confusion [px]; larger ones are clamped.
 const WIDEST: f32 = 15.0;
-/// Pixels that share a set of neighbors to look at; above `WIDEST`, so that what reaches into a
-/// block lies in it or in one next to it.
+/// Side of the blocks of pixels that share a set of neighbors; above `WIDEST`, so that only pixels
+/// in a block or in adjacent ones reach into it.
 const BLOCK: usize = 16;
-/// Margin around the image in which there is nothing.
+/// Empty margin around the image.
 const MARGIN: usize = 16;
-/// Rows worked on together.
+/// Number of rows processed together.
 const ROWS: usize = 4;
-/// Groups of rows that one thread takes at a time: some take longer than others.
+/// Number of groups of rows that one thread takes at a time, because their costs differ.
 const AT_ONCE: usize = 4;
-/// Blocks from the one worked on to the one that is fetched.
+/// Distance in blocks between the processed and the prefetched one.
 const AHEAD: usize = 2;
-/// Radius of what is not seen; its weight of the light is 0.
+/// Radius of pixels without a surface; their weight is 0.
 const NOWHERE: f32 = -1e9;
 
-/// Red, green, blue, signed radius and one over its square, with a margin.
+/// Red, green, blue, signed radius and its inverse square, with a margin.
 pub struct Padded {
     planes: [Vec<f32>; 5],
-    /// Of each block.
+    /// Maximum radii of each block.
     widest: Vec<Widest>,
     size: (usize, usize),
     stride: usize,
     /// Neighbors of a block's rows, the nearest first.
     taps: Vec<Tap>,
-    /// Number of them within a distance, by its square [px²].
+    /// Number of neighbors within a distance, by its square [px²].
     within: Vec<usize>,
 }
 
 /// A neighbor of a block's rows.
 struct Tap {
-    /// From the block to it in a plane.
+    /// Offset from the block in a plane.
     offset: isize,
-    /// Half a pixel less its distance from each row [px].
+    /// Half a pixel minus its distance from each row [px].
     edges: [f32; ROWS],
 }
 
-/// The image seen through an aperture.
+/// Image through a finite aperture.
 ///
-/// The radius of the circle of confusion at distance d [m] is `radius_scale · |1/focus − 1/d|` [px], where
-/// `radius_scale` is half the aperture times the focal length [px·m]. Each pixel spreads over its circle;
-/// what is behind another surface spreads over it no wider than that surface itself. Where distance
-/// is NaN the pixel stays black.
+/// The radius of the circle of confusion at distance d [m] is `radius_scale · |1/focus − 1/d|`
+/// [px], where `radius_scale` is half the aperture times the focal length [px·m]. Each pixel
+/// spreads over its circle; a surface behind another spreads over it at most by the latter's own
+/// radius. Where distance is NaN the pixel stays black.
 #[pyfunction]
 pub fn depth_of_field<'py>(
     py: Python<'py>,
@@ -82,7 +82,7 @@ pub fn depth_of_field<'py>(
 }
 
 impl Padded {
-    /// Room for an image of a size, with its margin.
+    /// Allocates an image of a size, with its margin.
     pub fn new(size: (usize, usize)) -> Self {
         let stride = size.1.div_ceil(BLOCK) * BLOCK + 2 * MARGIN;
         let length = stride * (size.0.div_ceil(ROWS) * ROWS + 2 * MARGIN);
@@ -93,8 +93,8 @@ impl Padded {
         Padded { planes, widest, size, stride, taps, within }
     }
 
-    /// Takes an image whose lines `light` writes, and distances of what is seen [m] that `distances`
-    /// writes, for a lens of such `radius_scale` and focus.
+    /// Sets the image from lines that `light` writes and distances [m] that `distances` writes, for
+    /// a lens with the given `radius_scale` and focus.
     pub fn fill(
         &mut self,
         (radius_scale, focus): (f32, f32),
@@ -124,7 +124,7 @@ impl Padded {
         });
     }
 
-    /// Fills the lines of an image with the light of this one, spread, and finds their `totals`.
+    /// Fills the lines with the blurred image and computes the `totals` of each.
     pub fn spread(&self, mut lines: Vec<Line<'_>>, sums: &mut [Vec3]) {
         let blocks = self.size.1.div_ceil(BLOCK);
         let widest = &self.widest;
@@ -148,8 +148,8 @@ impl Padded {
         });
     }
 
-    /// Brings what a block from a place (row, column) on sees within a radius near the processor,
-    /// which does not foresee by itself what is read of so many rows.
+    /// Prefetches the neighbors within a radius of a block at (row, column), because the processor
+    /// cannot predict reads from so many rows.
     fn fetch(&self, (y, x): (usize, usize), radius: f32) {
         let radius_scale = (radius + 0.5) as usize;
         let rows = MARGIN + y - radius_scale..MARGIN + y + ROWS + radius_scale;
@@ -163,8 +163,8 @@ impl Padded {
     }
 }
 
-/// All neighbors of a block's rows, the nearest first, in planes with such rows, and how many are
-/// within each distance.
+/// All neighbors of a block's rows, the nearest first, in planes with the given stride, and the
+/// number within each distance.
 fn taps(stride: usize) -> (Vec<Tap>, Vec<usize>) {
     let (most, last) = (WIDEST as i32, ROWS as i32 - 1);
     let tap = |down: i32, along: i32| {
@@ -183,17 +183,17 @@ fn taps(stride: usize) -> (Vec<Tap>, Vec<usize>) {
     (all.into_iter().map(|near| near.1).collect(), counts)
 }
 
-/// Widest radii in a block of `ROWS` by `BLOCK` pixels [px].
+/// Maximum radii in a block of `ROWS` by `BLOCK` pixels [px].
 #[derive(Clone, Copy, Default)]
 struct Widest {
-    /// Of all that it sees.
+    /// Maximum over all pixels.
     any: f32,
-    /// Of what is nearer than the focus: only that spreads farther than the circle of the pixel
-    /// where it ends.
+    /// Maximum over pixels nearer than the focus: only these spread farther than the circle of the
+    /// pixel on which they end.
     near: f32,
 }
 
-/// Takes a row of radii into the widest of its blocks.
+/// Updates the maximum radii of blocks by a row of radii.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -217,7 +217,7 @@ fn widen(line: &[f32], widest: &mut [Widest]) {
     }
 }
 
-/// Makes of distances [m] signed radii [px], and one over their squares.
+/// Converts distances [m] to signed radii [px], and computes their inverse squares.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -233,8 +233,8 @@ fn radii(radius_scale: f32, focus: f32, radius: &mut [f32], weight: &mut [f32]) 
     }
 }
 
-/// Widest radius that counts in a block (row, column): its own, or that of what is near and reaches
-/// into it from up to so many rows of blocks away.
+/// Maximum radius that affects a block (row, column): its own, or that of near pixels that reach
+/// into it from up to `rows` rows of blocks away.
 fn around(widest: &[Widest], blocks: usize, place: (usize, usize), rows: usize) -> f32 {
     let (group, column) = place;
     let mut most = widest[group * blocks + column].any;
@@ -250,17 +250,17 @@ fn around(widest: &[Widest], blocks: usize, place: (usize, usize), rows: usize) 
     most
 }
 
-/// Least distance between pixels of two blocks that are so many apart, each so wide [px].
+/// Minimum distance between pixels of blocks whose indices differ by `blocks`, each `wide` [px].
 fn gap(blocks: usize, wide: usize) -> f32 {
     (blocks * wide).saturating_sub(if blocks == 0 { 0 } else { wide - 1 }) as f32
 }
 
 type Run = [f32; BLOCK];
 
-/// Light of a block's rows from a place (row, column) on, given the widest radius about.
+/// Light of a block's rows at (row, column), given the maximum radius around it.
 ///
-/// A neighbor is loaded once for all rows, and taken where it is out of reach with no weight: that
-/// takes less time than to ask.
+/// A neighbor is loaded once for all rows and gets weight zero if out of reach, which is faster
+/// than a branch.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -288,7 +288,7 @@ fn spread_block(padded: &Padded, place: (usize, usize), radius: f32) -> [[Run; 3
         let colors = [at(0, from), at(1, from), at(2, from)];
         for r in 0..ROWS {
             for i in 0..BLOCK {
-                // What is farther and wider is hidden beyond the pixel's own circle.
+                // Light from farther and wider pixels is occluded beyond the pixel's own circle.
                 let wide = min(near[i], own_wide[r][i]).abs();
                 let weight = chosen(near[i] > own_wide[r][i], own_fraction[r][i], weight[i]);
                 let weight = clamp(wide + tap.edges[r], 0.0, 1.0) * weight;
@@ -312,15 +312,15 @@ fn spread_block(padded: &Padded, place: (usize, usize), radius: f32) -> [[Run; 3
     mean
 }
 
-/// One number or the other. Written as a choice of bits: of an `if` the compiler makes a choice of
-/// where to load from, lane by lane.
+/// Selects one of two values by bit operations: the compiler turns an `if` into a choice of load
+/// addresses for each lane.
 #[inline(always)]
 fn chosen(first: bool, one: f32, other: f32) -> f32 {
     let mask = u32::from(first).wrapping_neg();
     f32::from_bits((one.to_bits() & mask) | (other.to_bits() & !mask))
 }
 
-/// Puts the distance of bubbles in place of that of what is behind them.
+/// Replaces the distance of the surfaces behind bubbles by that of the bubbles.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",

@@ -1,5 +1,5 @@
-//! An image seen through what lies on the capsule's dome: smears that absorb and scatter, and drops
-//! that are lenses.
+//! Image through contamination of the capsule's dome: smears that absorb and scatter, and drops
+//! that act as lenses.
 
 use super::planes::{Line, planes_array, rows, size};
 use crate::pool::on_pool;
@@ -10,24 +10,24 @@ use numpy::{
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// Smears: for each color the fraction of light that it does not absorb [3 h w], and the fraction of that
-/// which it does not scatter [h w]. What it scatters is spread evenly over the pixels that are lit,
+/// Smears: for each color the fraction of light that is not absorbed [3 h w], and the fraction of
+/// that which is not scattered [h w]. Scattered light is spread uniformly over the lit pixels,
 /// whose number is given.
 pub type GivenSmears<'py> = (PyReadonlyArray3<'py, f32>, PyReadonlyArray2<'py, f32>, f64);
 
-/// Drops: numbers of the pixels that they change [m], of the pixels each sees instead [m k], and
-/// how much each of those counts [m k].
+/// Drops: indices of the affected pixels [m], of the pixels visible through each [m k], and the
+/// weights of the latter [m k].
 pub type GivenDrops<'py> =
     (PyReadonlyArray1<'py, u32>, PyReadonlyArray2<'py, u32>, PyReadonlyArray2<'py, f32>);
 
-/// `GivenSmears` as the core reads it.
+/// `GivenSmears`, as used by the core.
 pub struct Smears {
     left: Vec<f32>,
     clear: Vec<f32>,
     lit: f64,
 }
 
-/// `GivenDrops` as the core reads it.
+/// `GivenDrops`, as used by the core.
 pub struct Drops<'a> {
     pixels: &'a [u32],
     seen: &'a [u32],
@@ -36,10 +36,10 @@ pub struct Drops<'a> {
 }
 
 impl Smears {
-    /// Smears over an image of a size.
+    /// Smears over an image of the given size.
     ///
     /// # Errors
-    /// If it is of another.
+    /// If the sizes differ.
     pub fn of(given: &GivenSmears<'_>, (height, width): (usize, usize)) -> PyResult<Self> {
         let (left, clear, lit) = given;
         if left.shape() != [3, height, width] || clear.shape() != [height, width] {
@@ -48,13 +48,13 @@ impl Smears {
         Ok(Smears { left: left.as_slice()?.to_vec(), clear: clear.as_slice()?.to_vec(), lit: *lit })
     }
 
-    /// Light that the smears scatter into every pixel of each color, given the `totals` of all rows.
+    /// Scattered light in every pixel of each color, given the `totals` of all rows.
     pub fn veils(&self, rows: &[Vec3]) -> Vec3 {
         let sum = |k: usize| rows.iter().map(|row| f64::from(row[k])).sum::<f64>();
         [0, 1, 2].map(|k| (sum(k) / self.lit.max(1.0)) as f32)
     }
 
-    /// Covers a row of a plane.
+    /// Applies the smears to a row of a plane.
     pub fn cover(&self, row: &mut [f32], (plane, y): (usize, usize), veil: f32) {
         let (width, area) = (row.len(), self.clear.len());
         let left = &self.left[plane * area + y * width..][..width];
@@ -63,10 +63,10 @@ impl Smears {
 }
 
 impl<'a> Drops<'a> {
-    /// Drops before an image of so many pixels.
+    /// Drops in front of an image of `area` pixels.
     ///
     /// # Errors
-    /// If they lie elsewhere.
+    /// If indices are outside the image.
     pub fn of(given: &'a GivenDrops<'_>, area: usize) -> PyResult<Self> {
         let (pixels, seen, weights) =
             (given.0.as_slice()?, given.1.as_slice()?, given.2.as_slice()?);
@@ -81,10 +81,10 @@ impl<'a> Drops<'a> {
         Ok(Drops { pixels, seen, weights, count: count.max(1) })
     }
 
-    /// Lays the drops over planes [3 h w].
+    /// Composites the drops over planes [3 h w].
     pub fn refract(&self, planes: &mut [f32]) {
         let area = planes.len() / 3;
-        // All is seen before any of it changes.
+        // All pixels are read before any of them changes.
         let mut seen = vec![0.0; 3 * self.pixels.len()];
         let source = &*planes;
         seen.par_chunks_mut(3 * PIXELS).enumerate().for_each(|(k, values)| {
@@ -101,15 +101,15 @@ impl<'a> Drops<'a> {
     }
 }
 
-/// Pixels behind drops that one thread takes.
+/// Number of pixels behind drops that one thread takes.
 const PIXELS: usize = 256;
 
-/// Light of each color in a row.
+/// Sum of each color in a row.
 pub fn totals(line: &Line<'_>) -> Vec3 {
     line.each_ref().map(|row| total(row))
 }
 
-/// Planes [3 h w] as they are seen through drops and a smears.
+/// Planes [3 h w] seen through drops and smears.
 #[pyfunction]
 #[pyo3(signature = (planes, smears=None, drops=None))]
 pub fn dome<'py>(
@@ -139,7 +139,7 @@ pub fn dome<'py>(
     Ok(planes_array(py, out, (height, width)))
 }
 
-/// Colors of pixels behind drops, each by so many rays.
+/// Colors of pixels behind drops, each from several rays.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",

@@ -2,8 +2,8 @@
 //! denoising and sharpening.
 //!
 //! Filters act on encoded luma and chroma (ITU-R BT.601, full range, as in JPEG) of 0 to 255. They
-//! are Gaussian and normalized over the pixels that the lens lights: the dark border about the
-//! image circle does not spread into the image.
+//! are Gaussian and normalized over the pixels that the lens lights, so that the dark border around
+//! the image circle does not spread into the image.
 
 use super::bloom::convolve;
 use super::planes::{Line, develop_row, interleave, rows, size};
@@ -18,9 +18,9 @@ use numpy::{
 use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
 use rayon::prelude::*;
 
-/// Standard deviations to each side that a Gaussian covers.
+/// Number of standard deviations to each side at which a Gaussian is truncated.
 const REACH: f32 = 3.0;
-/// Encoded values of white.
+/// Encoded value of white.
 const WHITE: f32 = 255.0;
 
 /// Rows of a matrix that acts on linear red, green, blue.
@@ -46,12 +46,12 @@ struct Sharpening {
 /// Gaussian filter normalized over lit pixels.
 struct Blur {
     kernel: Vec<f32>,
-    /// Reciprocal of the weight of lit pixels about each pixel [h w]; 0 where the pixel is unlit.
+    /// Reciprocal of the weight of lit pixels around each pixel [h w]; 0 where the pixel is unlit.
     scale: Vec<f32>,
 }
 
 impl Isp {
-    /// Stages of an image of a size that is lit in some pixels.
+    /// Stages for an image of a size with a mask of lit pixels.
     pub fn new(given: &StageParams<'_>, size: (usize, usize), lit: &[bool]) -> Self {
         let blur = |sigma: f32| (sigma > 0.0).then(|| Blur::new(sigma, size, lit));
         Isp {
@@ -71,7 +71,7 @@ impl Isp {
     }
 
     /// Develops one row of linear planes to codes, or, if filters follow, to encoded luma and
-    /// chroma in its own place. Codes are 0 where not `lit`.
+    /// chroma in place. Codes are 0 where not `lit`.
     pub fn develop(
         &self,
         line: &mut Line<'_>,
@@ -98,7 +98,7 @@ impl Isp {
         }
     }
 
-    /// Denoises and sharpens rows that have been developed; `spare` is room for as many planes.
+    /// Denoises and sharpens developed rows; `spare` is a buffer of the same size.
     pub fn filter(
         &self,
         planes: &mut [f32],
@@ -197,7 +197,7 @@ pub fn isp<'py>(
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let (height, width) = size(&planes)?;
     if lit.shape() != [height, width] {
-        return Err(PyValueError::new_err("What is lit must be of the planes' shape (h, w)."));
+        return Err(PyValueError::new_err("The lit mask must be of the planes' shape (h, w)."));
     }
     let (lit, size) = (lit.as_slice()?, (height, width));
     let isp = Isp::new(&StageParams::of(&stages)?, size, lit);
@@ -328,7 +328,7 @@ fn from_luma_chroma(line: &mut Line<'_>) {
     }
 }
 
-/// Adds the difference of a row from its blurred copy, less a threshold.
+/// Adds the difference between a row and its blurred copy, reduced by a threshold.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -341,7 +341,7 @@ fn sharpen_row(row: &mut [f32], blurred: &[f32], (amount, threshold): (f32, f32)
     }
 }
 
-/// Whole numbers of a row of encoded colors; 0 where not `lit`.
+/// Rounds a row of encoded colors to integers; 0 where not `lit`.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -350,7 +350,7 @@ fn sharpen_row(row: &mut [f32], blurred: &[f32], (amount, threshold): (f32, f32)
 fn round_row(line: &Line<'_>, lit: &[bool], codes: &mut Line<'_, u8>) {
     for (row, codes) in line.iter().zip(codes) {
         for ((code, &value), &lit) in codes.iter_mut().zip(row.iter()).zip(lit) {
-            // Adding 2²³ rounds to a whole number and leaves it in the low bits.
+            // Adding 2²³ rounds to an integer and leaves it in the low bits.
             let byte = (clamp(value, 0.0, WHITE) + 8_388_608.0).to_bits() as u8;
             *code = byte & u8::from(lit).wrapping_neg();
         }

@@ -1,6 +1,6 @@
-//! Loss and size of JPEG (ITU-T T.81, baseline, color at half the resolution). The file itself is
-//! not written: Huffman coding is lossless, so only its length is counted, to 2 %: bytes 255, which
-//! a file follows with a 0, are not counted twice.
+//! Loss and file size of JPEG (ITU-T T.81, baseline, color at half the resolution). The file itself
+//! is not written: Huffman coding is lossless, so only its length is computed, to 2 %: the 0 that a
+//! file stores after each byte 255 is not counted.
 
 use super::dct::{Basis, Block, bases, transform_2d};
 use super::jpeg_tables::{AC_BITS_CHROMINANCE, AC_BITS_LUMINANCE, DC_BITS, STEPS};
@@ -11,17 +11,17 @@ use numpy::{IntoPyArray, PyArray3, PyReadonlyArray3, PyUntypedArrayMethods, ndar
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// Bytes of all that is not the image: markers and tables of a color file.
+/// Number of bytes besides the image data: markers and tables of a color file.
 const HEADER: usize = 623;
 
-/// The order in which the coefficients of a block are coded.
+/// Order in which the coefficients of a block are coded.
 const ZIGZAG: [u8; 64] = [
     0, 1, 8, 16, 9, 2, 3, 10, 17, 24, 32, 25, 18, 11, 4, 5, 12, 19, 26, 33, 40, 48, 41, 34, 27, 20,
     13, 6, 7, 14, 21, 28, 35, 42, 49, 56, 57, 50, 43, 36, 29, 22, 15, 23, 30, 37, 44, 51, 58, 59,
     52, 45, 38, 31, 39, 46, 53, 60, 61, 54, 47, 55, 62, 63,
 ];
 
-/// The image [h w 3] as read back from its JPEG.
+/// The image [h w 3] after JPEG compression and decompression.
 #[pyfunction]
 pub fn jpeg<'py>(
     py: Python<'py>,
@@ -35,7 +35,7 @@ pub fn jpeg<'py>(
     Ok(Array3::from_shape_vec(shape, pixels).expect("every pixel was filled").into_pyarray(py))
 }
 
-/// Size of the JPEG of an image [h w 3] as a file [bytes].
+/// Size of the JPEG file of an image [h w 3] [bytes].
 #[pyfunction]
 pub fn jpeg_bytes(
     py: Python<'_>,
@@ -46,8 +46,8 @@ pub fn jpeg_bytes(
     Ok(on_pool(py, || Spectrum::new(&planes_of(source), size).bytes(&both_steps(quality))))
 }
 
-/// The highest quality up to `quality` at which the JPEG has no more bytes than given, 1 where there
-/// is none.
+/// Highest quality up to `quality` at which the JPEG file fits into the given bytes, 1 if there is
+/// none.
 #[pyfunction]
 pub fn jpeg_quality(
     py: Python<'_>,
@@ -81,14 +81,14 @@ fn planes_of(image: &[u8]) -> Vec<u8> {
 /// Compression settings of an image.
 #[derive(Clone, Copy)]
 pub struct Compression {
-    /// 1 to 100.
+    /// Quality, 1 to 100.
     pub quality: u32,
-    /// Limit for the file [bytes].
+    /// Maximum file size [bytes].
     pub max_bytes: Option<usize>,
 }
 
 impl Compression {
-    /// The image [h w 3] that is left of planes [3 h w].
+    /// Writes the image [h w 3] that remains of planes [3 h w].
     pub fn apply(&self, planes: &[u8], size: (usize, usize), out: &mut [u8]) {
         let fitting = |most| Spectrum::new(planes, size).best_quality(self.quality, most);
         let quality = self.max_bytes.map_or(self.quality, fitting);
@@ -96,18 +96,18 @@ impl Compression {
     }
 }
 
-/// Steps of both tables.
+/// Quantization steps of both tables.
 fn both_steps(quality: u32) -> [Block; 2] {
     [0, 1].map(|table| steps(table, quality))
 }
 
-/// Steps of a table at a quality, as the Independent JPEG Group's library scales them.
+/// Quantization steps of a table at a quality, scaled as by the Independent JPEG Group's library.
 fn steps(table: usize, quality: u32) -> Block {
     let percent = if quality < 50 { 5000 / quality } else { 200 - 2 * quality };
     STEPS[table].map(|s| ((u32::from(s) * percent + 50) / 100).clamp(1, 255) as f32)
 }
 
-/// Nearest whole number.
+/// Nearest integer.
 #[inline(always)]
 fn nearest(x: f32) -> f32 {
     (x + 12_582_912.0) - 12_582_912.0
@@ -115,7 +115,7 @@ fn nearest(x: f32) -> f32 {
 
 /// Coefficients of the three components, in bands of 16 rows of pixels.
 struct Spectrum {
-    /// For each band: blocks of luminance, four to a square of 16 pixels, then of both colors.
+    /// For each band: blocks of luminance, four per square of 16 pixels, then of both colors.
     bands: Vec<Band>,
 }
 
@@ -131,7 +131,7 @@ impl Spectrum {
         Spectrum { bands: bands.map(|b| analyzed(pixels, size, b, &forth)).collect() }
     }
 
-    /// Size of the file [bytes].
+    /// File size [bytes].
     fn bytes(&self, steps: &[Block; 2]) -> usize {
         let numbers = |block: &Block, table: usize| quantized(block, &steps[table]);
         let mut bits = 0;
@@ -160,7 +160,7 @@ impl Spectrum {
     }
 }
 
-/// The image that the file holds of planes, band by band.
+/// Decodes the compressed image of planes, band by band.
 fn decode(pixels: &[u8], size: (usize, usize), steps: &[Block; 2], out: &mut [u8]) {
     let (height, width) = size;
     let (forth, back) = bases();
@@ -184,7 +184,7 @@ fn decode(pixels: &[u8], size: (usize, usize), steps: &[Block; 2], out: &mut [u8
     });
 }
 
-/// Rows of a color at half the resolution nearest to a row of the image, the second farther.
+/// Rows of a half-resolution color nearest to a row of the image, the second farther away.
 fn lines_about(
     planes: &[[Vec<f32>; 3]],
     plane: usize,
@@ -198,7 +198,7 @@ fn lines_about(
     [near, far].map(|row| &planes[row / 8][plane][row % 8 * stride..][..stride])
 }
 
-/// Coefficients of one band of 16 rows; beyond the image its last pixels go on.
+/// Coefficients of one band of 16 rows; the last pixels are repeated beyond the image.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -259,7 +259,7 @@ fn transformed(plane: &[f32], stride: usize, (y, x): (usize, usize), basis: &[Ba
     transform_2d(&basis[0], &basis[1], &values)
 }
 
-/// Means of 2 by 2 pixels of 16 rows, rounded up and down by turns.
+/// Means of 2 × 2 pixels of 16 rows, rounded up and down alternately.
 #[inline(always)]
 fn halved(plane: &[f32], stride: usize) -> Vec<f32> {
     let mut out = vec![0.0; 8 * stride / 2];
@@ -282,7 +282,7 @@ fn quantized(block: &Block, steps: &Block) -> Block {
     numbers
 }
 
-/// Bits of a block's numbers; `last` is the constant term of the block before.
+/// Number of bits of a block's coefficients; `last` is the DC coefficient of the previous block.
 fn block_bits(numbers: &Block, table: usize, last: &mut i32) -> usize {
     let size = |number: i32| (32 - number.unsigned_abs().leading_zeros()) as usize;
     let constant = numbers[0] as i32;
@@ -326,7 +326,7 @@ fn synthesized(
         }
         let mut values = transform_2d(&back[0], &back[1], &numbers);
         for value in &mut values {
-            // A decoder has whole numbers of 8 bits.
+            // A decoder has 8-bit integers.
             *value = nearest(clamp(*value, -128.0, 127.0));
         }
         values
@@ -358,7 +358,7 @@ fn synthesized(
 ))]
 fn finer([near, far]: [&[f32]; 2], width: usize, out: &mut [f32]) {
     let columns = width.div_ceil(2);
-    // One more at each end, as the image goes on.
+    // One more at each end, which repeats the edge of the image.
     let mut mixed = vec![0.0; columns + 2];
     for ((value, near), far) in mixed[1..=columns].iter_mut().zip(near).zip(far) {
         *value = 0.75 * near + 0.25 * far;
@@ -372,7 +372,7 @@ fn finer([near, far]: [&[f32]; 2], width: usize, out: &mut [f32]) {
     }
 }
 
-/// One row of pixels; `codes` is room for its planes.
+/// One row of pixels; `codes` is a buffer for its planes.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -384,7 +384,7 @@ fn write_row(light: &[f32], [blue, red]: [&[f32]; 2], codes: &mut [u8], out: &mu
     let (r, rest) = codes.split_at_mut(count);
     let (g, b) = rest.split_at_mut(count);
     let b = &mut b[..count];
-    // Adding 2²³ rounds to a whole number and leaves it in the low bits.
+    // Adding 2²³ rounds to an integer and leaves it in the low bits.
     let byte = |value: f32| (clamp(value, 0.0, 255.0) + 8_388_608.0).to_bits() as u8;
     for x in 0..count {
         let y = light[x] + 128.0;

@@ -1,6 +1,7 @@
-//! Steps and lengths of Huffman codes that JPEG's standard suggests (ITU-T T.81, tables K.1 to K.6).
+//! Quantization steps and Huffman code lengths of the JPEG standard (ITU-T T.81, tables K.1 to
+//! K.6).
 
-/// Steps of quality 50 (tables K.1 and K.2), row by row.
+/// Quantization steps of quality 50 (tables K.1 and K.2), row by row.
 pub const STEPS: [[u8; 64]; 2] = [
     [
         16, 11, 10, 16, 24, 40, 51, 61, 12, 12, 14, 19, 26, 58, 60, 55, 14, 13, 16, 24, 40, 57, 69,
@@ -14,11 +15,11 @@ pub const STEPS: [[u8; 64]; 2] = [
     ],
 ];
 
-/// Bits of the codes for sizes of the constant term's change: luminance, chrominance.
+/// Code lengths of the size categories of DC differences [bits]: luminance, chrominance.
 pub const DC_BITS: [[u8; 12]; 2] =
     [[2, 3, 3, 3, 3, 3, 4, 5, 6, 7, 8, 9], [2, 2, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]];
 
-/// Bits of the codes for (run of zeros, size of the number after it): luminance.
+/// Code lengths of (run of zeros, size category of the next coefficient) [bits]: luminance.
 pub const AC_BITS_LUMINANCE: [[u8; 11]; 16] = [
     [4, 2, 2, 3, 4, 5, 7, 8, 10, 16, 16],
     [0, 4, 5, 7, 9, 11, 16, 16, 16, 16, 16],
@@ -38,7 +39,7 @@ pub const AC_BITS_LUMINANCE: [[u8; 11]; 16] = [
     [11, 16, 16, 16, 16, 16, 16, 16, 16, 16, 16],
 ];
 
-/// Bits of the codes for (run of zeros, size of the number after it): chrominance.
+/// Code lengths of (run of zeros, size category of the next coefficient) [bits]: chrominance.
 pub const AC_BITS_CHROMINANCE: [[u8; 11]; 16] = [
     [2, 2, 3, 4, 5, 5, 6, 7, 9, 10, 12],
     [0, 4, 6, 8, 9, 11, 12, 16, 16, 16, 16],

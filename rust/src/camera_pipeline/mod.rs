@@ -1,9 +1,9 @@
-//! Camera pipeline: what lens and sensor make of an image. Each stage is a file; `stages` is their
+//! Camera pipeline: effects of lens and sensor on an image. Each stage is a file; `stages` is their
 //! registry, `pipeline` runs them in order.
 //!
 //! Images are linear, and three planes [3 h w], so that loops over a row become vector code. Every
-//! stage works row by row, and no row depends on another's result: the same bytes on any number of
-//! threads.
+//! stage works row by row, and no row depends on the result of another: outputs are bit-identical
+//! on any number of threads.
 
 pub mod bloom;
 mod dct;
@@ -31,7 +31,7 @@ pub fn register(m: &Bound<'_, PyModule>) -> PyResult<()> {
     Ok(())
 }
 
-/// Adds each stage by itself to the module of functions that only tests call.
+/// Adds each stage separately to the module of functions that only tests call.
 pub fn register_testing(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(motion_blur::motion_blur, m)?)?;
     m.add_function(wrap_pyfunction!(depth_of_field::depth_of_field, m)?)?;

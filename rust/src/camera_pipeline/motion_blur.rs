@@ -1,4 +1,4 @@
-//! Motion while the shutter is open, and rows that are read one after another.
+//! Motion blur during the exposure, and rolling shutter.
 
 use super::motion_field::{MotionField, Shutter, Window, whole};
 use super::planes::{Line, planes_array, rows, size_of_image};
@@ -9,18 +9,17 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Most places a pixel is averaged over.
+/// Maximum number of positions over which a pixel is averaged.
 const MOST_SAMPLES: f32 = 64.0;
-/// Shift that is not worth interpolating [px].
+/// Shift below which interpolation is skipped [px].
 const MIN_SHIFT: f32 = 1e-3;
 
-/// Planes [3 h w] of the image [h w 3], times a factor, as a camera takes it that moves while it
-/// exposes.
+/// Planes [3 h w] of the image [h w 3], times a factor, as exposed by a moving camera.
 ///
-/// A pixel is the mean over the time its row is open of what moves past it. `motion` is the motion of
-/// the image in one frame's time [px] at every `STEP`th pixel of every `STEP`th row [rows columns 2],
-/// the first in the middle of a square of so many. `shutter` has the times of `Shutter`, in its order.
-/// Pixels that are not `lit` stay black and contribute nothing.
+/// A pixel is the mean over the exposure of its row of the image that moves past it. `motion` is
+/// the motion of the image in one frame's time [px] at every `STEP`th pixel of every `STEP`th row
+/// [rows columns 2], the first at the center of a square of `STEP` pixels. `shutter` has the times
+/// of `Shutter`, in its order. Pixels that are not `lit` stay black and contribute nothing.
 #[pyfunction]
 pub fn motion_blur<'py>(
     py: Python<'py>,
@@ -53,18 +52,18 @@ pub fn motion_blur<'py>(
     Ok(planes_array(py, out, (height, width)))
 }
 
-/// Pixels worked on together.
+/// Number of pixels processed together.
 const RUN: usize = 32;
-/// Columns and rows about the image, which goes on there as at its edge.
+/// Columns and rows around the image, which repeat its edge.
 const MARGIN: usize = 16;
-/// Most neighbors to a side that the places of a run are taken from together.
+/// Maximum number of neighbors on one side for positions of a run that are read together.
 const MOST_TAPS: usize = 4;
-/// Distance of places that surely have no more neighbors than that [px].
+/// Distance between positions that guarantees no more than these neighbors [px].
 const MOST_SPREAD: f32 = (MOST_TAPS - 2) as f32;
 
 type Run = [f32; RUN];
 
-/// Rows and columns of a plane of an image of a size with its margin.
+/// Rows and columns of a plane with its margin, for an image of a size.
 pub fn with_margin((height, width): (usize, usize)) -> (usize, usize) {
     (height + 2 * MARGIN, width.div_ceil(RUN) * RUN + 2 * MARGIN)
 }
@@ -75,7 +74,7 @@ pub fn inside(y: usize, (height, width): (usize, usize)) -> Range<usize> {
     start..start + width
 }
 
-/// Fills the margin of planes: the image goes on as at its edge.
+/// Fills the margin of planes with the edge of the image.
 pub fn extend_edges(planes: &mut [f32], size: (usize, usize)) {
     let ((height, width), (rows, stride)) = (size, with_margin(size));
     planes.par_chunks_mut(rows * stride).for_each(|plane| {
@@ -94,15 +93,15 @@ pub fn extend_edges(planes: &mut [f32], size: (usize, usize)) {
 
 /// Mask of the pixels that have a ray.
 pub struct LitMask {
-    /// 1 where they do, or else 0, with a margin.
+    /// 1 for pixels with a ray, 0 for others, with a margin.
     mask: Vec<f32>,
-    /// Whether all of a square of `RUN` by `RUN` pixels within the image do.
+    /// True if all pixels of a square of `RUN` by `RUN` pixels within the image have a ray.
     squares: Vec<bool>,
     size: (usize, usize),
 }
 
 impl LitMask {
-    /// Of an image of a size.
+    /// Mask of an image of a size.
     pub fn new(size: (usize, usize), lit: &[bool]) -> Self {
         let ((height, width), (rows, stride)) = (size, with_margin(size));
         let columns = width.div_ceil(RUN);
@@ -118,7 +117,7 @@ impl LitMask {
         LitMask { mask, squares, size }
     }
 
-    /// Planes of an image [h w 3] with room for a margin, black where it is not lit.
+    /// Planes of an image [h w 3] with space for a margin, black where it is not lit.
     fn framed(&self, image: &[f32]) -> Vec<f32> {
         let ((_, width), area) = (self.size, self.mask.len());
         let mut planes = vec![0.0; 3 * area];
@@ -133,7 +132,7 @@ impl LitMask {
     }
 }
 
-/// The image at its instant.
+/// The image at one instant.
 pub struct SharpImage<'a> {
     /// Red, green, blue, with a margin; 0 where it is not lit.
     colors: [&'a [f32]; 3],
@@ -142,14 +141,13 @@ pub struct SharpImage<'a> {
 }
 
 impl<'a> SharpImage<'a> {
-    /// Of planes with a margin that is filled, to be multiplied by a factor.
+    /// Image from planes with a filled margin, to be multiplied by a factor.
     pub fn new(planes: &'a [f32], lit: &'a LitMask, factor: f32) -> Self {
         let area = planes.len() / 3;
         SharpImage { colors: [0, 1, 2].map(|k| &planes[k * area..][..area]), lit, factor }
     }
 
-    /// Fills a line of an image with the mean over the time that it is open, given the motion when
-    /// it is read.
+    /// Fills a line of an image with the mean over its exposure, given the motion at readout.
     pub fn blur(&self, y: usize, motion: &MotionField, shutter: Shutter, line: Line<'_>) {
         let mut window = shutter.window(y as f32, self.lit.size.0);
         window.weight *= self.factor;
@@ -167,19 +165,19 @@ impl<'a> SharpImage<'a> {
         with_margin(self.lit.size).1
     }
 
-    /// Red, green, blue, and what is lit.
+    /// Plane of red, green, blue or of the mask.
     #[inline(always)]
     fn plane(&self, plane: usize) -> &[f32] {
         if plane < 3 { self.colors[plane] } else { &self.lit.mask }
     }
 
-    /// Numbers of a plane from a place on.
+    /// Values of a plane from an index on.
     #[inline(always)]
     fn run(&self, plane: usize, start: usize) -> Run {
         load(&self.plane(plane)[start..start + RUN])
     }
 
-    /// Bilinear between four pixels; the image goes on as at its edge.
+    /// Bilinear interpolation between four pixels; the edge of the image is repeated.
     #[inline(always)]
     fn at(&self, x: f32, y: f32) -> [f32; 4] {
         let (height, width) = self.lit.size;
@@ -197,8 +195,8 @@ impl<'a> SharpImage<'a> {
         light
     }
 
-    /// Whether a run that starts at a place lies within the image and its margin when it has moved
-    /// so far.
+    /// True if a run that starts at a position lies within the image and its margin after the given
+    /// motion.
     #[inline(always)]
     fn holds(&self, (x, y): (usize, usize), along: [f32; 2], down: [f32; 2]) -> bool {
         let (height, margin) = (self.lit.size.0, MARGIN as f32);
@@ -209,7 +207,7 @@ impl<'a> SharpImage<'a> {
             && y + down[1] <= height as f32 - 1.0 + margin
     }
 
-    /// Whether all that a run may see is lit, when it moves so far.
+    /// True if all pixels that a run may read during the given motion are lit.
     #[inline(always)]
     fn is_all_lit(&self, (x, y): (usize, usize), along: [f32; 2], down: [f32; 2]) -> bool {
         let (height, width) = self.lit.size;
@@ -269,7 +267,7 @@ fn blur_row(sharp: &SharpImage, y: usize, motion: &MotionField, window: Window, 
     }
 }
 
-/// Mean of what was lit of all that was added up, where a run itself is lit.
+/// Mean of the lit part of the sum, where a run itself is lit.
 #[inline(always)]
 fn mean_of_lit(sum: &[Run; 4], own: &[Run; 4]) -> [Run; 4] {
     let mut mean = *own;
@@ -299,13 +297,13 @@ fn spread([low, high]: [f32; 2], (shutter, late): (f32, f32)) -> f32 {
     (high - low) * (late.abs() + 0.5 * shutter)
 }
 
-/// Least and most of a run.
+/// Minimum and maximum of a run.
 #[inline(always)]
 fn ends(run: &Run) -> [f32; 2] {
     [least(run), -least(&run.map(|x| -x))]
 }
 
-/// Least of a run, by halves.
+/// Minimum of a run, by halves.
 #[inline(always)]
 fn least(run: &Run) -> f32 {
     let low: [f32; 16] = std::array::from_fn(|i| min(run[i], run[i + 16]));
@@ -314,9 +312,9 @@ fn least(run: &Run) -> f32 {
     min(min(low[0], low[1]), min(low[2], low[3]))
 }
 
-/// Sum over the exposure of what moves past a run of pixels; `ends` are the least and most of its
-/// motion along and down. It `IS_NEAR` if its places are never outside the margin, nor farther apart
-/// than `MOST_SPREAD`.
+/// Sum over the exposure of the image that moves past a run of pixels; `ends` are the minimum and
+/// maximum of its motion along rows and columns. It `IS_NEAR` if its positions are never outside
+/// the margin, nor farther apart than `MOST_SPREAD`.
 #[inline(always)]
 fn streak<const PLANES: usize, const IS_NEAR: bool>(
     sharp: &SharpImage,
@@ -358,15 +356,15 @@ fn streak<const PLANES: usize, const IS_NEAR: bool>(
     sum
 }
 
-/// Least and most shift of what is seen at a time.
+/// Minimum and maximum shift of the image at a time.
 #[inline(always)]
 fn moved([low, high]: [f32; 2], time: f32) -> [f32; 2] {
     let (one, other) = (-low * time, -high * time);
     [min(one, other), max(one, other)]
 }
 
-/// Adds what is seen from a place on, each pixel `rest` farther: bilinear, where neighbors are up
-/// to `taps` away.
+/// Adds the image from an index on, each pixel shifted by `rest`: bilinear, with neighbors up to
+/// `taps` away.
 #[inline(always)]
 fn add_shifted<const PLANES: usize>(
     sharp: &SharpImage,

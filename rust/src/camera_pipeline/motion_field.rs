@@ -1,27 +1,27 @@
-//! Motion of the image, known at some of its pixels.
+//! Motion of the image, sampled at some of its pixels.
 
 use crate::render::channels::STEP;
 use crate::simd::f32x64::{clamp, max, min};
 use rayon::prelude::*;
 
-/// Most steps in which the place that a late row sees is found, and the change of its motion at
-/// which it is [px per frame].
+/// Maximum number of fixed-point steps for the position that a late row exposes, and the change of
+/// its motion at which they end [px per frame].
 const FIXED_POINT_STEPS: usize = 4;
 const SETTLED: f32 = 5e-2;
-/// Places worked on together, and rows of them that one thread takes.
+/// Number of samples processed together, and rows of samples that one thread takes.
 const RUN: usize = 16;
 const LINES: usize = 8;
 
-/// A field of motion at every `STEP`th pixel of every `STEP`th row, the first in the middle of a
-/// square of so many [px per frame], with no place unknown.
+/// Motion at every `STEP`th pixel of every `STEP`th row, the first at the center of a square of
+/// `STEP` pixels [px per frame], without unknown samples.
 pub struct MotionField {
     vectors: Vec<[f32; 2]>,
     size: (usize, usize),
 }
 
 impl MotionField {
-    /// Fills unknown places (NaN) next to known ones with their mean, up to three cells away;
-    /// elsewhere nothing moves.
+    /// Fills unknown samples (NaN) next to known ones with their mean, up to three cells away, and
+    /// others with zero.
     pub fn new(given: &[f32], size: (usize, usize)) -> Self {
         let (height, width) = size;
         let mut vectors: Vec<[f32; 2]> = given.chunks_exact(2).map(|v| [v[0], v[1]]).collect();
@@ -53,8 +53,8 @@ impl MotionField {
         MotionField { vectors, size }
     }
 
-    /// Of each place the motion of what is there when its row takes light, of `height` rows: with v
-    /// of an instant, `from + v(from) late = here`.
+    /// Motion of the image part that is at each sample when its row is exposed, of `height` rows:
+    /// with v at one instant, `from + v(from) late = here`.
     pub fn at_readout(self, shutter: Shutter, height: usize) -> Self {
         if shutter.readout == 0.0 {
             return self;
@@ -70,7 +70,7 @@ impl MotionField {
         MotionField { vectors, ..self }
     }
 
-    /// The four vectors about a place, given the first's row and column.
+    /// The four vectors around a position, given the first's row and column.
     #[inline(always)]
     fn about(&self, row: usize, column: usize) -> [[f32; 2]; 4] {
         let (rows, columns) = self.size;
@@ -79,7 +79,7 @@ impl MotionField {
         [row + column, row + right, below + column, below + right].map(|k| self.vectors[k])
     }
 
-    /// The vectors of all pixels of one row: columns, then rows.
+    /// Vectors of all pixels of one row: columns, then rows.
     #[inline(always)]
     pub fn row(&self, y: usize, width: usize) -> [Vec<f32>; 2] {
         let (rows, columns) = self.size;
@@ -105,7 +105,7 @@ impl MotionField {
     }
 }
 
-/// Of a row of known places the motion of what is there so late.
+/// Motion at a row of samples of the image parts that are there after a delay.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -152,48 +152,48 @@ fn read_out_line(field: &MotionField, row: usize, late: f32, line: &mut [[f32; 2
     }
 }
 
-/// Pixel of a known place along an axis.
+/// Pixel of a sample along an axis.
 #[inline(always)]
 fn place(number: usize) -> f32 {
     (number * STEP + STEP / 2) as f32
 }
 
-/// The number of the known place before a place [px], and how far it is towards the next.
+/// Index of the sample before a position [px], and the fraction of the distance to the next.
 #[inline(always)]
 fn between(place: f32, count: usize) -> (usize, f32) {
     let number = (place - (STEP / 2) as f32) / STEP as f32;
     whole(clamp(number, 0.0, count as f32 - 1.0))
 }
 
-/// When rows of pixels are open and lit, in fractions of a frame's time.
+/// Exposure of rows and LED pulse, in fractions of a frame's time.
 #[derive(Clone, Copy)]
 pub struct Shutter {
     /// Exposure time of each row.
     pub open: f32,
-    /// From the first row's middle of that time to the last one's; the row in the middle has its own
-    /// about the instant of the image.
+    /// Time from the center of the first row's exposure to that of the last row's; the exposure of
+    /// the middle row is centered on the instant of the image.
     pub readout: f32,
-    /// Duration of the LED pulse about that instant.
+    /// Duration of the LED pulse around that instant.
     pub pulse: f32,
 }
 
-/// When a row takes light.
+/// Time in which a row receives light.
 #[derive(Clone, Copy)]
 pub struct Window {
-    /// Middle of that time after the instant of the image, and its length.
+    /// Center of that time relative to the instant of the image, and its length.
     pub late: f32,
     pub length: f32,
-    /// Share that it takes of the light of a row that sees all of the pulse.
+    /// Fraction of the light of a row that is exposed during the whole pulse.
     pub weight: f32,
 }
 
 impl Shutter {
-    /// From the three times in order.
+    /// Creates a shutter from the three times in order.
     pub fn of((open, readout, pulse): (f32, f32, f32)) -> Self {
         Shutter { open, readout, pulse }
     }
 
-    /// Of a row among `height`.
+    /// Window of a row among `height`.
     pub fn window(&self, row: f32, height: usize) -> Window {
         let middle = self.readout * ((row + 0.5) / height as f32 - 0.5);
         let (half, lit) = (0.5 * self.open, 0.5 * self.pulse);
@@ -216,10 +216,10 @@ fn mix(a: f32, b: f32, t: f32) -> f32 {
     a + (b - a) * t
 }
 
-/// A number from 0 to 2²² as a whole one and the rest, 0 to 1.
+/// Integer and fractional part of a value from 0 to 2²².
 #[inline(always)]
 pub fn whole(x: f32) -> (usize, f32) {
-    // Adding 1.5 · 2²³ rounds to a whole number and leaves it in the low bits.
+    // Adding 1.5 · 2²³ rounds to an integer and leaves it in the low bits.
     let shifted = (x - 0.5) + 12_582_912.0;
     ((shifted.to_bits() & 0x003f_ffff) as usize, x - (shifted - 12_582_912.0))
 }

@@ -1,4 +1,4 @@
-//! Image positions of points, from the rays of the pixels alone: for any lens.
+//! Image positions of points from the rays of the pixels alone, for any lens.
 
 use crate::pool::on_pool;
 use crate::poses::read_pose;
@@ -13,18 +13,18 @@ use numpy::{
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// Most steps of Newton's method, and the step that is its last [px]: what is left is some hundredth of
-/// its square.
+/// Maximum number of Newton steps, and the length of the last step [px]; the remaining error is
+/// about a hundredth of its square.
 const STEPS: usize = 8;
 const SETTLED: f32 = 0.5;
-/// Points worked on together, in rows of which each begins as the one above ended.
+/// Number of points processed together, in rows that start from the result of the row above.
 const RUN: usize = 16;
 const ROWS: usize = 8;
-/// Gap to the capsule up to which a bubble's near side is taken to sit on it [m].
+/// Maximum gap to the capsule at which a bubble's near side counts as attached to it [m].
 const TOUCHING: f32 = 1e-3;
 
-/// As `flow_by_rays` takes it: label and depth of what is in front [h w], from camera to capsule, half
-/// of the capsule's straight length and its radius [m].
+/// Arguments of `flow_by_rays`: label and depth of the foreground [h w], the transform from camera
+/// to capsule, half of the capsule's straight length and its radius [m].
 pub type GivenFront<'py> =
     (PyReadonlyArray2<'py, u8>, PyReadonlyArray2<'py, f32>, PyReadonlyArray2<'py, f64>, (f32, f32));
 
@@ -36,7 +36,7 @@ struct Front<'a> {
     capsule: (f32, f32),
 }
 
-/// A rigid transform: rotation and where the origin comes.
+/// A rigid transform: rotation and position of the origin.
 type Pose = (DMat3, DVec3);
 
 impl<'a> Front<'a> {
@@ -44,14 +44,14 @@ impl<'a> Front<'a> {
         let (label, depth, pose, capsule) = given;
         let size = [rays.height, rays.width];
         if label.shape() != size || depth.shape() != size || pose.shape() != [4, 4] {
-            return Err(PyValueError::new_err("What is in front must fit the camera."));
+            return Err(PyValueError::new_err("The foreground must fit the camera."));
         }
         let (label, depth) = (label.as_slice()?, depth.as_slice()?);
         let to_capsule = read_pose(pose)?;
         Ok(Front { label, depth, to_capsule, capsule: *capsule })
     }
 
-    /// Whether a pixel looks through a bubble that sits on the capsule, and so stays there.
+    /// True if a pixel shows a bubble attached to the capsule, which does not move in the image.
     fn is_on_capsule(&self, pixel: usize, ray: Vec3) -> bool {
         if self.label[pixel] != FOREGROUND_BUBBLE {
             return false;
@@ -69,12 +69,12 @@ fn apply((rotation, origin): &Pose, point: Vec3) -> Vec3 {
     (*rotation * DVec3::from(point.map(f64::from)) + *origin).as_vec3().to_array()
 }
 
-/// As `flow_by_rays` takes them: points in the world [rows columns 3], pose of the camera in it, what
-/// is in front.
+/// Arguments of `flow_by_rays`: points in the world [rows columns 3], pose of the camera in it,
+/// foreground.
 pub type GivenPoints<'py> =
     (PyReadonlyArray3<'py, f32>, PyReadonlyArray2<'py, f64>, Option<GivenFront<'py>>);
 
-/// Points that some pixels of a camera see, to be found in an image.
+/// Points visible in some pixels of a camera, to be located in another image.
 pub struct Points<'a> {
     rays: &'a RayTable,
     places: &'a [f32],
@@ -85,10 +85,10 @@ pub struct Points<'a> {
 }
 
 /// Displacement of points from every `step`th pixel of every `step`th row [rows columns 2], in
-/// pixels; the first is in the middle of a square of `step` pixels.
+/// pixels; the first is at the center of a square of `step` pixels.
 ///
-/// Between pixels rays are bilinear; beyond the last pixels that see anything they go on as there.
-/// NaN where a point is NaN or the pixel sees nothing; 0 where a bubble in front sits on the capsule.
+/// Rays are bilinear between pixels and extrapolated beyond the lens's field. NaN where a point is
+/// NaN or the pixel outside the field; 0 where a bubble in front is attached to the capsule.
 #[pyfunction]
 pub fn flow_by_rays<'py>(
     py: Python<'py>,
@@ -99,12 +99,12 @@ pub fn flow_by_rays<'py>(
     let points = Points::of(rays, &given, step)?;
     let (rows, columns) = points.size;
     let out = on_pool(py, || points.flow());
-    let array = Array3::from_shape_vec((rows, columns, 2), out).expect("one vector a place");
+    let array = Array3::from_shape_vec((rows, columns, 2), out).expect("one vector per point");
     Ok(array.into_pyarray(py))
 }
 
 impl<'a> Points<'a> {
-    /// Takes the points that every `step`th pixel sees.
+    /// Creates the points of every `step`th pixel.
     pub fn of(rays: &'a RayTable, given: &'a GivenPoints<'_>, step: usize) -> PyResult<Self> {
         let (points, pose, front) = given;
         let [rows, columns, 3] = points.shape()[..] else {
@@ -140,7 +140,7 @@ impl<'a> Points<'a> {
         out
     }
 
-    /// Pixel (column, row) at a place of the array.
+    /// Pixel (column, row) of an array index.
     #[inline(always)]
     fn pixel(&self, column: usize, row: usize) -> [usize; 2] {
         [column, row].map(|k| k * self.step + self.step / 2)
@@ -154,8 +154,8 @@ impl<'a> Points<'a> {
     }
 }
 
-/// Directions to some points, where they may appear (columns and rows), and which are still sought
-/// among pixels that all see something.
+/// Directions to some points, their estimated positions (columns and rows), and the ones still
+/// active among pixels inside the field.
 struct Search {
     towards: [[f32; RUN]; 3],
     at: [[f32; RUN]; 2],
@@ -211,7 +211,7 @@ fn flow_line(points: &Points<'_>, row: usize, guess: &mut [[f32; RUN]], line: &m
 }
 
 impl Search {
-    /// Newton's method for all points at once; closes those that come where a pixel sees nothing.
+    /// Runs Newton's method for all points at once; deactivates those outside the lens's field.
     #[inline(always)]
     fn settle(&mut self, rays: &RayTable) {
         let (width, height) = (rays.width, rays.height);
@@ -247,7 +247,7 @@ impl Search {
         }
     }
 
-    /// One step of all, see `Cell::step`; true if none went far.
+    /// One step of all points, see `Cell::step`; true if all steps were short.
     #[inline(always)]
     fn step(&mut self, corners: &[Lanes3; 4], inside: &[[f32; RUN]; 2]) -> bool {
         let mut farthest = [0.0f32; RUN];
@@ -283,7 +283,7 @@ fn find(rays: &RayTable, pixel: [usize; 2], towards: Vec3, guess: [f32; 2]) -> O
         if max(change[0].abs(), change[1].abs()) < SETTLED {
             break;
         }
-        // Where nothing is seen rays go on as they do on the way there.
+        // Outside the field, rays are extrapolated from a position half-way back.
         let half = [at[0] - 0.5 * change[0], at[1] - 0.5 * change[1]];
         let found =
             Cell::of(rays, nearest(rays, at)).or_else(|| Cell::of(rays, nearest(rays, half)));
@@ -292,14 +292,14 @@ fn find(rays: &RayTable, pixel: [usize; 2], towards: Vec3, guess: [f32; 2]) -> O
     Some([at[0] - start[0], at[1] - start[1]])
 }
 
-/// The pixel before a place, within the image.
+/// Pixel before a position, within the image.
 fn nearest(rays: &RayTable, at: [f32; 2]) -> [usize; 2] {
     let (right, bottom) = (rays.width as f32 - 1.0, rays.height as f32 - 1.0);
     [clamp(at[0], 0.0, right) as usize, clamp(at[1], 0.0, bottom) as usize]
 }
 
-/// Rays between four pixels, which need not be unit vectors: `first + x · right + y · down +
-/// x y · twist`, from a corner.
+/// Rays between four pixels, not necessarily unit vectors: `first + x · right + y · down + x y ·
+/// twist`, from a corner.
 struct Cell {
     corner: [f32; 2],
     first: Vec3,
@@ -309,7 +309,7 @@ struct Cell {
 }
 
 impl Cell {
-    /// The cell right of and below a pixel, or where it has none to those sides left or above.
+    /// Cell to the right of and below a pixel, or to the left or above at the edge of the field.
     #[inline(always)]
     fn of(rays: &RayTable, [x, y]: [usize; 2]) -> Option<Self> {
         if x + 1 < rays.width && y + 1 < rays.height {
@@ -322,7 +322,7 @@ impl Cell {
         Cell::at_the_edge(rays, [x, y])
     }
 
-    /// The cell between a pixel and those right of it, below it, and both.
+    /// Cell between a pixel and those to the right of it, below it, and both.
     #[inline(always)]
     fn between(corner: [f32; 2], [first, along, below, far]: [Vec3; 4]) -> Self {
         let (right, down) = (sub(along, first), sub(below, first));
@@ -330,7 +330,7 @@ impl Cell {
         Cell { corner, first, right, down, twist }
     }
 
-    /// The same where one of the four pixels sees nothing, or is none.
+    /// Cell in which one of the four pixels is outside the field or the image.
     fn at_the_edge(rays: &RayTable, [x, y]: [usize; 2]) -> Option<Self> {
         let own = rays.direction(x, y)?;
         let beside =
@@ -351,10 +351,10 @@ impl Cell {
         Some(Cell { corner: [x as f32, y as f32], first: own, right, down, twist })
     }
 
-    /// One step of Newton's method from a place towards where the ray has a direction [px].
+    /// One Newton step from a position towards that where the ray has a direction [px].
     ///
-    /// With the ray r and its slopes u and v at the place, `r + a u + b v` is to be parallel to t:
-    /// Cramer's rule gives a and b.
+    /// With the ray r and its slopes u and v at the position, `r + a u + b v` is to be parallel to
+    /// t: Cramer's rule gives a and b.
     #[inline(always)]
     fn step(&self, at: [f32; 2], towards: Vec3) -> [f32; 2] {
         let [x, y] = [at[0] - self.corner[0], at[1] - self.corner[1]];

@@ -1,5 +1,5 @@
-//! Camera pipeline: all stages of one camera in a frame, in their order, without a way back to Python
-//! between them.
+//! Camera pipeline: all stages of one camera in a frame, in order, without returning to Python in
+//! between.
 
 use super::bloom::{Bloom, Scattered};
 use super::demosaic::{demosaic_line, mirrored_about};
@@ -46,8 +46,8 @@ pub struct CameraPipeline {
     colors: ColorGains,
     isp: Isp,
     jpeg: Option<Compression>,
-    /// Buffers of earlier frames, whose memory is used again. Nobody waits for the lock: a forked
-    /// process may have a copy that is locked forever.
+    /// Buffers of earlier frames, for reuse. No thread waits for the lock: a forked process may
+    /// inherit a copy that is locked forever.
     buffers: Mutex<Vec<Buffers>>,
 }
 
@@ -65,13 +65,13 @@ struct Buffers {
     codes: Vec<u8>,
 }
 
-/// A frame's arrays, as far as stages use them.
+/// Arrays of a frame, as far as stages use them.
 struct Frame<'a> {
     exposure: f32,
     points: Option<Points<'a>>,
-    /// Sense of their motion in time.
+    /// Sign of their motion in time.
     sense: f32,
-    /// Distance of the wall, depth and label of what is in front.
+    /// Distance of the wall, depth and label of the foreground.
     distances: Option<Distances<'a>>,
     drops: Option<Drops<'a>>,
     sensor: Option<Sensor<'a>>,
@@ -80,8 +80,8 @@ struct Frame<'a> {
 
 #[pymethods]
 impl CameraPipeline {
-    /// Takes the rays of a camera, which pixels see anything [h w], the cosine between each pixel's
-    /// ray and the axis [h w], and the parameters of stages by name.
+    /// Takes the rays of a camera, the mask of pixels inside the lens's field [h w], the cosine
+    /// between each pixel's ray and the axis [h w], and the parameters of stages by name.
     #[new]
     fn new(
         rays: Py<RayTable>,
@@ -126,16 +126,16 @@ impl CameraPipeline {
         })
     }
 
-    /// Shape of radiance with the margin about the image that motion needs, as wide on all sides or
-    /// wider on the right.
+    /// Shape of radiance with the margin around the image that motion needs, equally wide on all
+    /// sides or wider on the right.
     #[getter]
     fn planes_shape(&self) -> (usize, usize, usize) {
         let (rows, columns) = with_margin(self.size);
         (3, rows, columns)
     }
 
-    /// The 8-bit image [h w 3] that the camera makes of radiance, whose margin is filled; it is 0
-    /// where the camera sees nothing.
+    /// The camera's 8-bit image [h w 3] of radiance, whose margin is filled; 0 outside the lens's
+    /// field.
     fn apply<'py>(
         &self,
         py: Python<'py>,
@@ -174,8 +174,8 @@ impl CameraPipeline {
         Ok(image.into_pyarray(py))
     }
 
-    /// Mean of the luminance of radiance with a margin, given its factors, over every few lit
-    /// pixels of every few rows; each is cut at 1. As if nothing moved nor lay on the dome.
+    /// Mean luminance of radiance with a margin, given its factors, over a subset of the lit
+    /// pixels; values are clamped at 1. Motion and contamination of the dome are ignored.
     fn meter(&self, radiance: PyReadonlyArray3<'_, f32>, factors: [f32; 3]) -> PyResult<f64> {
         self.check(radiance.shape())?;
         let (light, (height, width)) = (radiance.as_slice()?, self.size);
@@ -199,7 +199,7 @@ impl CameraPipeline {
 }
 
 impl Frame<'_> {
-    /// Motion of the image of so many rows, as they take light.
+    /// Motion of an image of `height` rows during their exposure.
     fn motion(&self, shutter: Shutter, height: usize) -> MotionField {
         let Some(points) = &self.points else { return MotionField::new(&[0.0; 2], (1, 1)) };
         let mut vectors = points.flow();
@@ -209,8 +209,8 @@ impl Frame<'_> {
 }
 
 impl SensorOfCamera {
-    /// The sensor of a camera with so many rows and columns of sites; `None` where it adds nothing.
-    /// Without noise, one step of its numbers is 1/65535.
+    /// Sensor of a camera with the given rows and columns of sites; `None` if it has no effect.
+    /// Without noise, one step of its digital values is 1/65535.
     fn of(given: &StageParams<'_>, (rows, columns): (usize, usize)) -> PyResult<Option<Self>> {
         let Some(noise) = &given.sensor_noise else {
             let pattern = [vec![1.0; rows * columns], vec![0.0; rows * columns]];
@@ -270,7 +270,7 @@ impl CameraPipeline {
         }
     }
 
-    /// Motion blur, rolling shutter, depth of field; the light of each row.
+    /// Applies motion blur, rolling shutter and depth of field; returns the light of each row.
     fn expose(&self, light: &mut [f32], frame: &Frame<'_>, buffers: &mut Buffers) -> Vec<Vec3> {
         let (size, Buffers { padded, planes, .. }) = (self.size, buffers);
         let moving = self.shutter.as_ref().map(|(shutter, lit)| {
@@ -304,7 +304,7 @@ impl CameraPipeline {
         sums
     }
 
-    /// Distance along the ray of the bubble or else the wall that the pixels of a row see [m].
+    /// Distance along the ray to the bubble or otherwise the wall in the pixels of a row [m].
     fn distances(&self, frame: &Frame<'_>, y: usize, row: &mut [f32]) {
         let Some((wall, depth, front)) = frame.distances else { return };
         let pixels = y * row.len()..(y + 1) * row.len();
@@ -316,7 +316,7 @@ impl CameraPipeline {
         bring_near(row, front, (&depth[pixels.clone()], &self.cosine[pixels]));
     }
 
-    /// Droplets and smears, given the light of each row before them.
+    /// Applies droplets and smears, given the light of each row before them.
     fn apply_dome(&self, frame: &Frame<'_>, totals: &[Vec3], planes: &mut [f32]) {
         let (height, width) = self.size;
         if let Some(drops) = &frame.drops {
@@ -329,7 +329,7 @@ impl CameraPipeline {
         });
     }
 
-    /// Lateral chromatic aberration and vignetting.
+    /// Applies lateral chromatic aberration and vignetting.
     fn apply_chromatic_aberration_and_vignetting(&self, buffers: &mut Buffers) {
         let width = self.size.1;
         let shaded = |y: usize, row: &mut [f32]| {
@@ -354,7 +354,7 @@ impl CameraPipeline {
         }
     }
 
-    /// Bloom, sensor and image signal processor up to 8 bits.
+    /// Applies bloom, sensor and image signal processor up to 8 bits.
     fn read_sensor(&self, frame: &Frame<'_>, scattered: Option<&Scattered>, buffers: &mut Buffers) {
         let (size, Buffers { planes, spare, codes, .. }) = (self.size, buffers);
         let (height, width) = size;

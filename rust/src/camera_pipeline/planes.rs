@@ -1,4 +1,4 @@
-//! An image as three planes, and what acts on each plane by itself.
+//! Images as three planes, and operations on each plane.
 
 use crate::pool::on_pool;
 use crate::render::channels::srgb;
@@ -13,7 +13,7 @@ use rayon::prelude::*;
 /// Height and width of three planes.
 ///
 /// # Errors
-/// If they are not three.
+/// If the number of planes is not three.
 pub fn size(planes: &PyReadonlyArray3<'_, f32>) -> PyResult<(usize, usize)> {
     match planes.shape()[..] {
         [3, h, w] if h > 0 && w > 0 => Ok((h, w)),
@@ -46,7 +46,7 @@ pub fn planes_array(
 /// One row of three planes: red, green, blue.
 pub type Line<'a, T = f32> = [&'a mut [T]; 3];
 
-/// The rows of three planes.
+/// Rows of three planes.
 pub fn rows<T>(pixels: &mut [T], (height, width): (usize, usize)) -> Vec<Line<'_, T>> {
     let (red, rest) = pixels.split_at_mut(height * width);
     let (green, blue) = rest.split_at_mut(height * width);
@@ -57,7 +57,7 @@ pub fn rows<T>(pixels: &mut [T], (height, width): (usize, usize)) -> Vec<Line<'_
         .collect()
 }
 
-/// A row times a number.
+/// Multiplies a row by a value.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -69,7 +69,7 @@ pub fn amplify(row: &[f32], factor: f32, out: &mut [f32]) {
     }
 }
 
-/// A row times as many numbers.
+/// Multiplies a row by another elementwise.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -81,7 +81,7 @@ pub fn shade_row(row: &mut [f32], factors: &[f32]) {
     }
 }
 
-/// Planes times a map [h w].
+/// Multiplies planes by a map [h w].
 #[pyfunction]
 pub fn vignetting<'py>(
     py: Python<'py>,
@@ -102,7 +102,7 @@ pub fn vignetting<'py>(
     Ok(planes_array(py, out, (height, width)))
 }
 
-/// The first of four neighbors, and their weights.
+/// Index of the first of four neighbors, and their weights.
 type Taps = (usize, [f32; 4]);
 
 /// Source samples of a scaled axis.
@@ -117,7 +117,7 @@ fn cubic_taps(length: usize, center: f32, scale: f32) -> Vec<Taps> {
             let at = at.clamp(0.0, last);
             let first = (at.floor() as usize).min(length.saturating_sub(2));
             let t = at - first as f32;
-            // Catmull-Rom: passes through the values, and is exact for parabolas.
+            // Catmull-Rom: interpolates the values, and is exact for parabolas.
             let weights = [
                 t * (-0.5 + t * (1.0 - 0.5 * t)),
                 1.0 + t * t * (-2.5 + 1.5 * t),
@@ -129,14 +129,14 @@ fn cubic_taps(length: usize, center: f32, scale: f32) -> Vec<Taps> {
         .collect()
 }
 
-/// The four neighbors from one before `first`, kept within the length.
+/// Four neighbors that start one before `first`, clamped to the length.
 #[inline(always)]
 fn neighbors(first: usize, length: usize) -> [usize; 4] {
     let last = length - 1;
     [first.saturating_sub(1), first, (first + 1).min(last), (first + 2).min(last)]
 }
 
-/// Taps of a row's columns: runs of columns whose neighbors are neighbors too, and all weights.
+/// Taps of a row's columns: runs of columns with consecutive neighbors, and all weights.
 struct Columns {
     /// First column, one past the last, and the first neighbor of the first.
     runs: Vec<(usize, usize, usize)>,
@@ -156,7 +156,7 @@ impl Columns {
     }
 }
 
-/// One row from the four about it, given their weights; `mixed` is room for it.
+/// One row from the four around it, given their weights; `mixed` is a buffer for it.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -170,7 +170,7 @@ fn scale_row(
     out: &mut [f32],
 ) {
     let width = out.len();
-    // One more before the first column and two after the last, as the image goes on.
+    // One more before the first column and two after the last, which repeat the image's edge.
     mixed.resize(width + 3, 0.0);
     let [a, b, c, d] = lines.map(|line| &line[..width]);
     for (x, value) in mixed[1..=width].iter_mut().enumerate() {
@@ -190,12 +190,12 @@ fn scale_row(
 
 /// Magnification of planes, each by its own scale.
 pub struct Scaling {
-    /// Rows and columns of each plane; none where it stays.
+    /// Rows and columns of each plane; None without magnification.
     planes: [Option<(Vec<Taps>, Columns)>; 3],
 }
 
 impl Scaling {
-    /// About a center (column, row) [px].
+    /// Magnification about a center (column, row) [px].
     pub fn new((height, width): (usize, usize), center: [f32; 2], scales: [f32; 3]) -> Self {
         let taps = |&scale: &f32| {
             let columns = Columns::new(&cubic_taps(width, center[0], scale));
@@ -229,7 +229,7 @@ impl Scaling {
 
 /// Magnifies each plane about a center (column, row) [px] by its own scale.
 ///
-/// Pixels from beyond the image are black. Interpolation is cubic along each axis.
+/// Pixels from outside the image are black. Interpolation is cubic along each axis.
 #[pyfunction]
 pub fn chromatic_aberration<'py>(
     py: Python<'py>,
@@ -250,7 +250,7 @@ pub fn chromatic_aberration<'py>(
     Ok(planes_array(py, out, size))
 }
 
-/// 8-bit sRGB image [h w 3] of linear planes times a gain each; black where not `lit`.
+/// 8-bit sRGB image [h w 3] of linear planes times one gain each; black where not `lit`.
 #[pyfunction]
 pub fn develop<'py>(
     py: Python<'py>,
@@ -260,7 +260,7 @@ pub fn develop<'py>(
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let (height, width) = size(&planes)?;
     if lit.shape() != [height, width] {
-        return Err(PyValueError::new_err("What is lit must be of the planes' shape (h, w)."));
+        return Err(PyValueError::new_err("The lit mask must be of the planes' shape (h, w)."));
     }
     let (source, lit) = (planes.as_slice()?, lit.as_slice()?);
     let mut out = vec![0u8; source.len()];
@@ -292,7 +292,7 @@ pub fn develop_row(values: &[f32], gain: f32, lit: &[bool], codes: &mut [u8]) {
     }
 }
 
-/// Pixels of three colors.
+/// Interleaves three colors into pixels.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",

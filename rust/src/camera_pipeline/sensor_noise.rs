@@ -1,6 +1,6 @@
-//! Photons to numbers: shot noise, read noise, fixed pattern, quantization.
+//! Conversion of photons to digital values: shot noise, read noise, fixed pattern, quantization.
 //!
-//! Random numbers are hashes of (key, site), so that they depend on nothing else.
+//! Random numbers are hashes of (key, site) and depend on nothing else.
 
 use super::planes::size;
 use crate::pool::on_pool;
@@ -13,14 +13,14 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 use std::f32::consts::PI;
 
-/// Mean from which a Poisson variable is drawn as a normal one with its skewness; below it, exactly.
+/// Mean above which a Poisson variable is sampled as a normal one with its skewness; exactly below.
 const MANY: f32 = 12.0;
-/// Sites worked on together.
+/// Number of sites processed together.
 const CHUNK: usize = 64;
-/// One over the number of whole numbers of 24 bits.
+/// Inverse of the number of 24-bit integers.
 const EVEN: f32 = 1.0 / 16_777_216.0;
 
-/// Bits that depend on all of a 32-bit number (Wellons' `lowbias32`).
+/// Bits that depend on all bits of a 32-bit integer (Wellons' `lowbias32`).
 #[inline(always)]
 fn scramble(x: u32) -> u32 {
     let x = (x ^ (x >> 16)).wrapping_mul(0x7feb_352d);
@@ -28,7 +28,7 @@ fn scramble(x: u32) -> u32 {
     x ^ (x >> 16)
 }
 
-/// A stream of numbers, one a site.
+/// A stream of random numbers, one per site.
 #[derive(Clone, Copy)]
 pub struct Stream {
     first: u32,
@@ -36,7 +36,7 @@ pub struct Stream {
 }
 
 impl Stream {
-    /// Of a key, number `index`.
+    /// Stream `index` of a key.
     fn new(key: u64, index: u64) -> Self {
         // SplitMix64 (Steele, Lea, Flood, OOPSLA 2014).
         let mut z = key.wrapping_add(index.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
@@ -92,7 +92,7 @@ fn normal_pair(stream: Stream, site: u32) -> [f32; 2] {
     let turn = scramble(bits.wrapping_add(0x9e37_79b9));
     let radius =
         (-2.0 * std::f32::consts::LN_2 * log2(((bits >> 8) as i32 as f32 + 0.5) * EVEN)).sqrt();
-    // A quarter of a turn less than half of one, and the sign of the other half.
+    // An angle from minus to plus a quarter turn; the sign selects the other half turn.
     let x = (turn >> 8) as i32 as f32 * EVEN - 0.5;
     let y = x * x;
     let sine = x * (PI - y * (5.167_713 - y * (2.550_164 - y * (0.599_264_5 - y * 0.082_145_89))));
@@ -102,7 +102,7 @@ fn normal_pair(stream: Stream, site: u32) -> [f32; 2] {
     [radius * sine, f32::from_bits((radius * cosine).to_bits() ^ (turn << 31))]
 }
 
-/// The Poisson quantile of `u` for a small mean, by adding up probabilities.
+/// Poisson quantile of `u` for a small mean, by summation of probabilities.
 fn poisson_small(mean: f32, u: f32) -> f32 {
     let mut probability = exp2(-mean * std::f32::consts::LOG2_E);
     let (mut sum, mut count) = (probability, 0.0f32);
@@ -114,8 +114,8 @@ fn poisson_small(mean: f32, u: f32) -> f32 {
     count
 }
 
-/// The Poisson quantile of a large mean, from a standard normal number: Cornish and Fisher's series
-/// to the skewness, rounded.
+/// Poisson quantile of a large mean from a standard normal number: the Cornish-Fisher expansion to
+/// the skewness, rounded.
 #[inline(always)]
 fn poisson_large(mean: f32, z: f32) -> f32 {
     let count = mean + mean.sqrt() * z + (z * z - 1.0) / 6.0;
@@ -136,7 +136,7 @@ pub fn standard_normal(
     Array2::from_shape_vec(shape, values).expect("every site was filled").into_pyarray(py)
 }
 
-/// Converter and fixed pattern of a sensor, as Python has them.
+/// Converter and fixed pattern of a sensor, as passed by Python.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct GivenSensor<'py> {
@@ -154,12 +154,12 @@ pub struct GivenSensor<'py> {
 pub struct Readout {
     /// Electrons of a green site at the image value 1.
     pub full_well: f32,
-    /// Standard deviation of a reading [electrons].
+    /// Standard deviation of the read noise [electrons].
     pub read_noise: f32,
-    /// Light relative to that which made the image, and amplification before the converter.
+    /// Light relative to that of the rendered image, and amplification before the converter.
     pub light: f32,
     pub gain: f32,
-    /// Largest number of the converter, and its number for no light.
+    /// Maximum value of the converter, and its black level.
     pub white: f32,
     pub black: f32,
     /// Response of red, green and blue sites.
@@ -167,7 +167,7 @@ pub struct Readout {
 }
 
 impl GivenSensor<'_> {
-    /// At its own light, without gain.
+    /// Readout at the camera's own light, without gain.
     pub fn readout(&self) -> Readout {
         let GivenSensor { full_well, read_noise, white, black, .. } = *self;
         Readout { full_well, read_noise, white, black, ..Readout::ideal() }
@@ -175,7 +175,7 @@ impl GivenSensor<'_> {
 }
 
 impl Readout {
-    /// Of a sensor without read noise, with 16 bits.
+    /// Readout of a sensor without read noise, with 16 bits.
     pub fn ideal() -> Self {
         Readout {
             full_well: 1e6,
@@ -189,13 +189,13 @@ impl Readout {
     }
 }
 
-/// The image as the sensor's converter gives it, scaled back to image values.
+/// The image as read by the sensor's converter, scaled back to image values.
 ///
-/// Of each site the light is `value · light · response · full_well · pattern[0]` electrons on average; their
-/// number is a Poisson variable. To it come the site's offset `pattern[1]` and read noise
-/// [electrons]; amplified, rounded to whole numbers and cut to the converter's range it is the
-/// reading. With a `mosaic`, the colors of 2 by 2 sites, there is one site a pixel and the result
-/// is [1 h w], else there are three and it is [3 h w].
+/// Each site receives `value · light · response · full_well · pattern[0]` electrons on average;
+/// their number is a Poisson variable. The site's offset `pattern[1]` and read noise [electrons]
+/// are added; the reading is amplified, rounded to integers and clamped to the converter's range.
+/// With a `mosaic`, the colors of 2 × 2 sites, there is one site per pixel and the result is [1 h
+/// w]; otherwise there are three and it is [3 h w].
 #[pyfunction]
 pub fn read_sensor<'py>(
     py: Python<'py>,
@@ -248,7 +248,7 @@ pub struct Sensor<'a> {
 }
 
 impl Sensor<'_> {
-    /// Reads a row of sites, of which even and odd ones see two colors.
+    /// Reads a row of sites, whose even and odd ones have two colors.
     #[inline]
     pub fn read(&self, light: [&[f32]; 2], colors: [usize; 2], row: usize, out: &mut [f32]) {
         let sites = row * out.len()..(row + 1) * out.len();
@@ -257,7 +257,7 @@ impl Sensor<'_> {
     }
 }
 
-/// Readings of one row, whose even and odd sites see two colors.
+/// Readings of one row, whose even and odd sites have two colors.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -280,7 +280,7 @@ fn read_row(
         electrons[i] = response * readout.full_well * readout.light;
         back[i] = 1.0 / (response * range);
     }
-    let most = 4.0 * readout.full_well; // far beyond what the converter can show
+    let most = 4.0 * readout.full_well; // far above the range of the converter
     let hides = readout.read_noise * readout.read_noise >= MANY;
     for begin in (0..out.len()).step_by(CHUNK) {
         let mut mean: [f32; CHUNK] = load(&light[0][begin..]);
@@ -310,7 +310,7 @@ fn read_row(
     }
 }
 
-/// Numbers of electrons with these means, and what is added to them by reading.
+/// Samples numbers of electrons of the given means, and read noise separately.
 #[inline(always)]
 fn read_separate(
     mean: &[f32; CHUNK],
@@ -331,8 +331,8 @@ fn read_separate(
     noise
 }
 
-/// The same where read noise hides that electrons are whole: both are one variable, whose variance
-/// is the sum of theirs and whose third moment is that of the electrons.
+/// Samples both together where read noise hides the discreteness of electrons: one variable, whose
+/// variance is the sum of theirs and whose third moment is that of the electrons.
 #[inline(always)]
 fn read_joint(mean: &[f32; CHUNK], read_noise: f32, stream: Stream, first: u32) -> [f32; CHUNK] {
     let mut normal = [0.0f32; CHUNK];

@@ -1,4 +1,4 @@
-//! The registry of stages: what each takes, once and with each frame.
+//! Registry of stages: constant parameters and parameters of each frame.
 
 use super::dome::{GivenDrops, GivenSmears};
 use super::isp::Matrix;
@@ -7,7 +7,7 @@ use super::sensor_noise::{GivenSensor, Readout};
 use numpy::{Element, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
 
-/// A struct of the parameters of stages by their names; those that are off are `None`.
+/// Declares a struct of the parameters of stages by name; those that are off are `None`.
 macro_rules! stages {
     ($(#[$about:meta])* $kind:ident { $($(#[$doc:meta])* $stage:ident: $params:ty,)* }) => {
         $(#[$about])*
@@ -15,10 +15,10 @@ macro_rules! stages {
         pub struct $kind<'py> { $($(#[$doc])* pub $stage: Option<$params>,)* }
 
         impl<'py> $kind<'py> {
-            /// From a dictionary by name.
+            /// Reads parameters from a dictionary by name.
             ///
             /// # Errors
-            /// If there is no such stage, or its parameters are of another type.
+            /// If a stage does not exist, or its parameters have another type.
             pub fn of(given: &Bound<'py, PyDict>) -> PyResult<Self> {
                 let mut found = Self::default();
                 for (name, params) in given.iter() {
@@ -36,23 +36,23 @@ macro_rules! stages {
 }
 
 stages! {
-    /// Parameters that no frame changes, by stage in their order.
+    /// Constant parameters, by stage in their order.
     StageParams {
         /// Exposure time of each row, and duration of the LED pulse [frames].
         motion_blur: (f32, f32),
-        /// From the first row's exposure to the last one's [frames].
+        /// Time from the first row's exposure to the last one's [frames].
         rolling_shutter: f32,
-        /// Radius per change of inverse distance [px·m] and distance of focus [m].
+        /// Radius per change of inverse distance [px·m] and focus distance [m].
         depth_of_field: (f32, f32),
         smears: GivenSmears<'py>,
         /// Center (column, row) [px], and the scale of each color.
         chromatic_aberration: ([f32; 2], [f32; 3]),
-        /// Fraction of the light that each pixel gets [h w].
+        /// Fraction of the light that each pixel receives [h w].
         vignetting: PyReadonlyArray2<'py, f32>,
-        /// Fraction that is scattered and standard deviation [px].
+        /// Scattered fraction and standard deviation [px].
         bloom: (f32, f32),
         sensor_noise: GivenSensor<'py>,
-        /// Color of each of 2 by 2 sites.
+        /// Colors of 2 × 2 sites.
         bayer_filter: [usize; 4],
         /// Gain and response of each color.
         white_balance: ([f64; 3], [f64; 3]),
@@ -64,7 +64,7 @@ stages! {
         denoising: (f32, f32),
         /// Amount, standard deviation [px] and threshold [1/255 of white].
         sharpening: (f32, f32, f32),
-        /// Quality, and limit of the file [bytes].
+        /// Quality, and maximum file size [bytes].
         jpeg: (u32, Option<usize>),
     }
 }
@@ -79,31 +79,31 @@ stages! {
     }
 }
 
-/// Distance along the ray of the wall [m], label and depth [m] of what is in front of it.
+/// Distance along the ray to the wall [m], label and depth [m] of the foreground.
 pub type Distance<'py> =
     (PyReadonlyArray2<'py, f32>, PyReadonlyArray2<'py, u8>, PyReadonlyArray2<'py, f32>);
 
-/// The same in the order wall, depth, label.
+/// `Distance` in the order wall, depth, label.
 pub type Distances<'a> = (&'a [f32], &'a [f32], &'a [u8]);
 
 /// Parameters of one frame.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct FrameParams<'py> {
-    /// From radiance to image values.
+    /// Factor from radiance to image values.
     pub exposure: f32,
     /// Positions of moving points in a neighboring frame; None if nothing moves.
     pub points: Option<GivenPoints<'py>>,
-    /// Whether that is the frame before.
+    /// True if that is the previous frame.
     pub is_backward: bool,
-    /// As `FrameStageParams` takes them.
+    /// Parameters for `FrameStageParams`.
     pub stages: Bound<'py, PyDict>,
-    /// Of the random numbers.
+    /// Key of the random numbers.
     pub key: (u64, u64),
 }
 
 impl StageParams<'_> {
-    /// Times of the shutter in frames: open, readout, pulse; `None` where it is open for an instant.
+    /// Times of the shutter in frames: open, readout, pulse; `None` for an instantaneous exposure.
     pub fn shutter(&self) -> Option<(f32, f32, f32)> {
         if self.motion_blur.is_none() && self.rolling_shutter.is_none() {
             return None;
@@ -114,10 +114,10 @@ impl StageParams<'_> {
 }
 
 impl FrameStageParams<'_> {
-    /// Distances of what an image of a size shows.
+    /// Distances of an image of the given size.
     ///
     /// # Errors
-    /// If it has another size.
+    /// If the sizes differ.
     pub fn distances(&self, size: (usize, usize)) -> PyResult<Option<Distances<'_>>> {
         let Some((wall, label, depth)) = &self.depth_of_field else { return Ok(None) };
         Ok(Some((of_image(wall, size)?, of_image(depth, size)?, of_image(label, size)?)))
@@ -144,7 +144,7 @@ impl FrameStageParams<'_> {
 /// Gain and response of each color.
 pub type ColorGains = ([f64; 3], [f64; 3]);
 
-/// The numbers of an array of the image's size.
+/// Returns an array of the image's size as a slice.
 pub fn of_image<'a, T: Element>(
     array: &'a PyReadonlyArray2<'_, T>,
     (height, width): (usize, usize),

@@ -1,8 +1,8 @@
-//! What the core makes of this processor.
+//! Features of this processor that the core uses.
 
 use pyo3::prelude::*;
 
-/// Names of the vector extensions that the hot loops use here.
+/// Names of the vector extensions used by the hot loops.
 #[pyfunction]
 pub fn cpu_features() -> Vec<&'static str> {
     let mut features = Vec::new();

@@ -1,6 +1,6 @@
-//! The compiled core of vrcaps: seeing and touching a wall of triangles, and writing what was seen.
+//! Compiled core of vrcaps: rendering of, contact with and recording of a triangle-mesh wall.
 
-// Loops over lanes index several arrays at once; iterators would hide that from the vectoriser.
+// Loops over lanes index several arrays at once; iterators would hide that from the vectorizer.
 #![allow(clippy::needless_range_loop)]
 
 mod actuation;

@@ -1,9 +1,9 @@
-//! The thread pool of this process, also of one that was forked.
+//! Thread pool of this process, also after a fork.
 //!
 //! A forked process has the memory of its parent but none of its threads, so it would wait forever
-//! for the parent's pool. Here it forgets that pool and starts its own when it first needs one. All
+//! for the parent's pool. Here it discards that pool and starts a new one on first use. All
 //! parallel work must therefore run in this pool, never in the global one of `rayon`:
-//! `forbid_global_pool` turns a mistake into a panic in tests, `clippy.toml` names the functions
+//! `forbid_global_pool` turns a mistake into a panic in tests, `clippy.toml` lists the functions
 //! that start from the global pool.
 
 use pyo3::exceptions::PyRuntimeError;
@@ -26,7 +26,7 @@ pub fn watch_forks() {
     }
 }
 
-/// Leaks the pool, in a forked process: its threads are not there to end.
+/// Leaks the pool in a forked process, where its threads do not exist to be joined.
 #[cfg(unix)]
 extern "C" fn forget_pool() {
     POOL.store(null_mut(), Ordering::Release);
@@ -56,18 +56,18 @@ fn pool() -> &'static ThreadPool {
     }
 }
 
-/// Does work in the pool; inside the pool, on the thread that calls.
+/// Runs work in the pool; on the calling thread if that belongs to the pool.
 pub fn install<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     pool().install(work)
 }
 
-/// Does work in the pool, without Python.
+/// Runs work in the pool, detached from Python.
 pub fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> T {
     py.detach(|| install(work))
 }
 
-/// Results of a function for each item, in order, computed without Python in parts of at least
-/// `part` items.
+/// Results of a function for each item, in order, computed detached from Python in parts of at
+/// least `part` items.
 ///
 /// Items of a single part stay on the calling thread: the pool may be busy with an image.
 pub fn map<A: Sync, T: Send>(
@@ -82,15 +82,14 @@ pub fn map<A: Sync, T: Send>(
     detached(py, || items.par_iter().with_min_len(part).map(function).collect())
 }
 
-/// Most threads that are kept awake between parts of work; more would be in the way of others.
+/// Maximum number of threads kept awake between parts of work; more would disturb others.
 const AWAKE: usize = 8;
 /// Time for which an idle thread stays awake, waiting for the next part of the work.
 const SPIN_TIME: Duration = Duration::from_micros(200);
 
-/// Does work in the pool, without Python; the parts that it is cut into start without a change of
-/// thread.
+/// Runs work in the pool, detached from Python; its parts start without a change of thread.
 ///
-/// Between those parts other threads stay awake: to fall asleep and be woken takes longer than many
+/// Between those parts other threads stay awake: falling asleep and waking takes longer than many
 /// of them.
 pub fn on_pool<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> T {
     let is_done = AtomicBool::new(false);
@@ -107,7 +106,7 @@ pub fn on_pool<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> T {
     })
 }
 
-/// Does what other threads offer until all is done, or nothing was offered for long.
+/// Takes work from other threads until all is done, or none was offered for `SPIN_TIME`.
 fn stay_awake(is_done: &AtomicBool) {
     let mut last = Instant::now();
     while !is_done.load(Ordering::Acquire) {
@@ -121,7 +120,7 @@ fn stay_awake(is_done: &AtomicBool) {
     }
 }
 
-/// Threads that the core works with (`RAYON_NUM_THREADS` sets them).
+/// Number of threads of the core (set by `RAYON_NUM_THREADS`).
 #[pyfunction]
 pub fn num_threads() -> usize {
     pool().current_num_threads()

@@ -1,14 +1,14 @@
 //! Lanes: the 64 rays of one tile, and arithmetic written once for all of them.
 //!
-//! Every hot loop of the core runs over plain arrays of `LANES` numbers, so that the compiler turns
-//! it into vector code of the machine's width. No operation is fused or reordered: results are the
-//! same bits on every processor.
+//! Every hot loop of the core runs over plain arrays of `LANES` values, so that the compiler turns
+//! it into vector code of the machine's width. No operation is fused or reordered: results are
+//! bit-identical on every processor.
 
 /// Width and height of a tile in pixels.
 pub const TILE: usize = 8;
-/// Rays of one tile.
+/// Number of rays of one tile.
 pub const LANES: usize = TILE * TILE;
-/// One number for each ray of a tile.
+/// One value for each ray of a tile.
 pub type Lane = [f32; LANES];
 /// One vector for each ray of a tile, by component.
 pub type Lane3 = [Lane; 3];
@@ -40,7 +40,7 @@ pub fn dot(a: Vec3, b: Vec3) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Vector product.
+/// Cross product.
 #[inline(always)]
 pub fn cross(a: Vec3, b: Vec3) -> Vec3 {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
@@ -53,19 +53,19 @@ pub fn normalize(a: Vec3) -> Vec3 {
     scale(a, if square > 0.0 { 1.0 / square.sqrt() } else { 0.0 })
 }
 
-/// The smaller number; one instruction, unlike `f32::min`, which also minds NaN.
+/// The smaller value; one instruction, unlike `f32::min`, which also handles NaN.
 #[inline(always)]
 pub fn min(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
-/// The larger number.
+/// The larger value.
 #[inline(always)]
 pub fn max(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
-/// `x` limited to the range from `low` to `high`.
+/// `x` clamped to the range from `low` to `high`.
 #[inline(always)]
 pub fn clamp(x: f32, low: f32, high: f32) -> f32 {
     min(max(x, low), high)
@@ -79,7 +79,7 @@ pub fn at<const N: usize>(v: &[[f32; N]; 3], i: usize) -> Vec3 {
 
 /// Base-2 logarithm of a positive normal number, relative error below 3e-7 of its magnitude.
 ///
-/// The mantissa m in [√½, √2) goes through the odd series of `ln m = 2 artanh((m−1)/(m+1))`.
+/// The mantissa m in [√½, √2) is evaluated by the odd series of `ln m = 2 artanh((m−1)/(m+1))`.
 #[inline(always)]
 pub fn log2(x: f32) -> f32 {
     let bits = x.to_bits().wrapping_sub(0x3f35_04f3);
@@ -95,7 +95,7 @@ pub fn log2(x: f32) -> f32 {
 #[inline(always)]
 pub fn exp2(x: f32) -> f32 {
     let x = clamp(x, -126.0, 126.0);
-    // Adding 1.5 · 2²³ rounds to a whole number and leaves it in the low bits.
+    // Adding 1.5 · 2²³ rounds to an integer and leaves it in the low bits.
     let shifted = x + 12_582_912.0;
     let f = x - (shifted - 12_582_912.0);
     let series = 1.0
@@ -113,7 +113,7 @@ pub fn pow(x: f32, y: f32) -> f32 {
     if x > 1e-30 { result } else { 0.0 }
 }
 
-/// The first numbers of a row, 0 where it has none left.
+/// Loads the first values of a slice, padded with 0.
 #[inline(always)]
 pub fn load<const N: usize>(row: &[f32]) -> [f32; N] {
     if let Some(whole) = row.first_chunk::<N>() {
@@ -124,7 +124,7 @@ pub fn load<const N: usize>(row: &[f32]) -> [f32; N] {
     values
 }
 
-/// Writes numbers to where a row begins, as far as it goes.
+/// Stores values at the start of a slice, as far as it extends.
 #[inline(always)]
 pub fn store<T: Copy, const N: usize>(values: &[T; N], row: &mut [T]) {
     match row.first_chunk_mut::<N>() {
@@ -133,7 +133,7 @@ pub fn store<T: Copy, const N: usize>(values: &[T; N], row: &mut [T]) {
     }
 }
 
-/// By itself, so that a whole number of values is stored without a call.
+/// A separate function, so that a full array is stored without a call.
 #[cold]
 #[inline(never)]
 fn store_some<T: Copy>(values: &[T], row: &mut [T]) {

@@ -1,14 +1,14 @@
-//! Double-precision lanes: arithmetic written once for several numbers, which the compiler turns
-//! into vector code of the machine's width. Nothing is fused, reordered or left to a system's
-//! mathematics library: results are the same bits on every processor.
+//! Double-precision lanes: arithmetic written once for several values, which the compiler turns
+//! into vector code of the machine's width. Nothing is fused, reordered or delegated to a system's
+//! mathematics library: results are bit-identical on every processor.
 
 use glam::DVec3;
 
-/// Numbers in a lane.
+/// Number of values in a lane.
 pub const LANES: usize = 8;
-/// One number for each of eight things.
+/// Eight values.
 pub type Lane = [f64; LANES];
-/// One vector for each, by component.
+/// Eight vectors, by component.
 pub type Lane3 = [Lane; 3];
 
 /// Vector of lane `i`.
@@ -30,22 +30,22 @@ pub fn sum(lane: &Lane) -> f64 {
     ((a + e) + (c + g)) + ((b + f) + (d + h))
 }
 
-/// The smaller number; one instruction, unlike `f64::min`, which also minds NaN.
+/// The smaller value; one instruction, unlike `f64::min`, which also handles NaN.
 #[inline(always)]
 pub fn min(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }
 }
 
-/// The larger number.
+/// The larger value.
 #[inline(always)]
 pub fn max(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
 }
 
-/// Adding this rounds to a whole number and leaves it in the low bits: 1.5 · 2⁵².
+/// Adding this rounds to an integer and leaves it in the low bits: 1.5 · 2⁵².
 const ROUND: f64 = 6_755_399_441_055_744.0;
 
-/// One over the factorials of 12, 11, … 2.
+/// Reciprocals of the factorials of 12, 11, … 2.
 const TAYLOR: [f64; 11] = [
     1.0 / 479_001_600.0,
     1.0 / 39_916_800.0,
@@ -78,13 +78,13 @@ pub fn exp_m1(x: f64) -> f64 {
 
 /// Natural logarithm of a positive normal number, absolute error below 1e-15 of its size or of 1.
 ///
-/// The mantissa m in [√½, √2) goes through the odd series of `ln m = 2 artanh((m−1)/(m+1))`.
+/// The mantissa m in [√½, √2) is evaluated by the odd series of `ln m = 2 artanh((m−1)/(m+1))`.
 #[inline(always)]
 pub fn ln(x: f64) -> f64 {
     const HALF_ROOT: u64 = 0x3fe6_a09e_667f_3bcd;
     let bits = x.to_bits().wrapping_sub(HALF_ROOT);
     let mantissa = f64::from_bits((bits & 0x000f_ffff_ffff_ffff) + HALF_ROOT);
-    // The exponent, to a number without a conversion that not every processor has in lanes.
+    // Converts the exponent without a conversion that not every processor has in lanes.
     let biased = f64::from_bits(((bits >> 52).wrapping_add(1024) & 0xfff) | 0x4330_0000_0000_0000);
     let exponent = biased - (4_503_599_627_370_496.0 + 1024.0);
     let s = (mantissa - 1.0) / (mantissa + 1.0);

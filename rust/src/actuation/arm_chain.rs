@@ -64,8 +64,7 @@ impl ArmChain {
     }
 
     /// Joint angles within limits that place the flange at a target in the base, nearest to `near`.
-    /// Without a closed form: the first numerical solution, started from `near`, then from
-    /// `others`.
+    /// Without a closed form: the first numerical solution from `near`, then from `others`.
     pub(super) fn solve(&self, target: &Pose, near: &[f64], others: &[f64]) -> Option<Vec<f64>> {
         if let Some(solver) = &self.inverse {
             return solver.nearest(target, &angles(near)).map(Vec::from);

@@ -80,8 +80,7 @@ impl ArmWithPayload {
         Ok(ArmWithPayload { arm: loaded.clone(), bare, base, mount, size, table })
     }
 
-    /// Minimum distances [k 2] of links and magnet to each other, and to the table, for angles [k
-    /// n].
+    /// Minimum distances [k 2] as by `gaps`, for angles [k n].
     fn clearance<'py>(
         &self,
         py: Python<'py>,

@@ -1,6 +1,5 @@
-//! Closed-form inverse kinematics of arms with the geometry of the Franka Emika Panda, with the
-//! last joint's angle as the free parameter; derived from the geometry as He and Liu (ICCMA 2021)
-//! propose.
+//! Closed-form inverse kinematics of arms like the Franka Emika Panda, with the last joint's angle
+//! as the free parameter; derived from the geometry as He and Liu (ICCMA 2021) propose.
 //!
 //! The axes of joints 1 to 3 meet in the shoulder S, those of 5 and 6 in the wrist W. Given q7, the
 //! frame of joint 6 is known, and with it W. Shoulder, elbow and wrist are a triangle of known

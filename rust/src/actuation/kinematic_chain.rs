@@ -34,10 +34,11 @@ impl Pose {
     }
 }
 
-/// Length of the previous link [m].
+/// Joint: `T = Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d)` from the previous frame, or from a fixed
+/// pose in that frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Joint {
-    /// Length of the link before it [m].
+    /// Length of the previous link [m].
     pub a: f64,
     /// Offset along the joint's axis [m].
     pub d: f64,

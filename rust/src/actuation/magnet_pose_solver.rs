@@ -34,8 +34,7 @@ pub struct WrenchTarget {
     force_weight: [[f64; 3]; 3],
     /// Weight of the torque error [1/(N·m)].
     torque_weight: f64,
-    /// Weight of a displacement of the magnet by its distance to the capsule, or a rotation by a
-    /// radian.
+    /// Weight of moving the magnet by its distance to the capsule, or rotating it by a radian.
     motion_weight: f64,
 }
 

@@ -56,8 +56,7 @@ impl CapsuleTarget {
 }
 
 impl Reference {
-    /// Position after a time `dt` [s]: limited by its speed, and by the lookahead distance from the
-    /// capsule at `at`.
+    /// Position after `dt` [s], limited by its speed and by its lookahead of the capsule at `at`.
     fn position_after(
         &self,
         at: DVec3,
@@ -67,8 +66,7 @@ impl Reference {
     ) -> DVec3 {
         let off = self.position - at;
         let lag = target.along_controlled_axes(off);
-        // Slow in other directions: following the capsule at once would cancel the field's
-        // stiffness.
+        // Slow in other directions: to follow at once would cancel the field's stiffness.
         let across = (off - lag)
             * if target.on_planned_wall { 1.0 } else { 1.0 - (dt / TIME_CONSTANT).min(1.0) };
         // It follows a sliding capsule at its own speed only: the field moves the capsule back.

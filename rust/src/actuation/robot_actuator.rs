@@ -96,8 +96,7 @@ impl RobotActuator {
         (place - place.clamp(self.low, self.high)).length()
     }
 
-    /// Maximum acceleration of a joint that respects its jerk even if reversed in a step of `dt`
-    /// [s].
+    /// Maximum acceleration of a joint that respects its jerk even if reversed after `dt` [s].
     fn acceleration(limits: &Limits, dt: f64) -> f64 {
         limits.acceleration.min(0.5 * limits.jerk * dt)
     }
@@ -127,8 +126,7 @@ impl RobotActuator {
         (self.speeds.0 / distance.max(1e-9)).min(self.speeds.1 / turn.max(1e-9))
     }
 
-    /// Constraint that angles violate; `out` is the magnet's current distance from the workspace
-    /// [m].
+    /// Constraint that angles violate; `out` is the magnet's distance from the workspace now [m].
     fn blocked(&self, frames: &[Pose], out: f64) -> Option<&'static str> {
         let (own, table) = self.robot.gaps(frames);
         // Between two poses in the workspace, the joints may move the magnet slightly out of it.
@@ -176,9 +174,9 @@ impl RobotActuator {
         (next, if limit.is_empty() && is_late { "speed" } else { limit })
     }
 
-    /// Advances as `step`, in shorter steps if necessary: near a joint limit, the other joints move
-    /// far for a short path of the magnet, and a distant pose may be out of reach when a nearer one
-    /// is not.
+    /// Advances as `step`, in shorter steps if necessary: near a joint limit, other joints move far
+    /// for a short path of the magnet, and a distant pose may be unreachable when a near one is
+    /// not.
     fn go(&self, state: &State, goal: &Pose, dt: f64) -> (State, &'static str) {
         let mut moved = self.step(state, goal, dt);
         for most in SHORT_STEPS {
@@ -201,9 +199,8 @@ type Moved<'py> = (
 
 #[pymethods]
 impl RobotActuator {
-    /// Actuator from joints, as rows of home angle, maximum speed, acceleration and jerk; the
-    /// corners of the workspace [m]; the flange's target direction; maximum speeds of the magnet
-    /// [m/s, rad/s].
+    /// Actuator from joints, as rows of home angle, maximum speed, acceleration and jerk; corners
+    /// of the workspace [m]; target direction of the flange; maximum magnet speeds [m/s, rad/s].
     #[new]
     fn new(
         robot: PyRef<'_, ArmWithPayload>,

@@ -131,9 +131,8 @@ impl Shell {
     /// Field at distance `rho` from the axis and height `z` above the center.
     ///
     /// B_z: Derby and Olbert, Am. J. Phys. 78:229 (2010), eq. 1 to 4. The shell is a stack of
-    /// loops, so that ∂B/∂z is the difference of the loops at its ends, and B_ρ the difference of
-    /// their vector potentials `4 a² C(m)/(π s³) ρ`. On the shell itself B_z is the mean of both
-    /// sides.
+    /// loops: ∂B/∂z is the difference of the loops at its ends, B_ρ that of their vector potentials
+    /// `4 a² C(m)/(π s³) ρ`. On the shell itself B_z is the mean of both sides.
     #[inline]
     pub fn field(&self, rho: f64, z: f64) -> AxialField {
         let limit = FAR * self.far.size;
@@ -160,9 +159,9 @@ impl Shell {
 
     /// Potential of a cylinder of this shape, with `sheet` as its remanence.
     ///
-    /// `ρN_ρ` of one end is −Q(a, ρ, ζ): symmetric in a and ρ, homogeneous of degree two, with
-    /// `∂Q/∂ρ = ρB_z(a, ρ)` and `∂Q/∂ζ = ρ² C`, so that (Euler)
-    /// `2Q = ρ²B_z(a, ρ) + a²B_z(ρ, a) + ρ²ζC`.
+    /// `ρN_ρ` of one end is −Q(a, ρ, ζ): symmetric in a and ρ, homogeneous of degree two,
+    /// `∂Q/∂ζ = ρ² C`, `∂Q/∂ρ = ρB_z(a, ρ)`, so that `2Q = ρ²B_z(a, ρ) + a²B_z(ρ, a) + ρ²ζC`
+    /// (Euler).
     pub fn potential(&self, rho: f64, z: f64) -> Potential {
         let (a, beyond) = (self.radius, z.abs() - self.half_length);
         let share = |depth: f64| {

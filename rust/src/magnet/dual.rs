@@ -16,8 +16,7 @@ pub trait Number:
     fn constant(x: f64) -> Self;
     /// Square root of a positive number.
     fn sqrt(self) -> Self;
-    /// True if every lane differs from `other`'s by at most the fraction `part` of it, by value
-    /// only.
+    /// True if every lane's value differs from `other`'s by at most the fraction `part` of it.
     fn is_close(self, other: Self, part: f64) -> bool;
     /// Selects `small` where a lane of `key` is below `limit`, else `large`.
     fn choose(key: Self, limit: f64, small: Self, large: Self) -> Self;

@@ -2,8 +2,7 @@
 //! magnetized across their axis, blocks and balls.
 //!
 //! A body of remanence `B_r` has `H = ∇∇N · m̂` with `N = B_r/4π ∫ dV/|r − r′|`, and
-//! `B = μ₀H + B_r m̂` inside it (Jackson 1999, sec. 5.9). One potential gives the field for every
-//! direction of `m̂`.
+//! `B = μ₀H + B_r m̂` inside it (Jackson 1999, sec. 5.9). One N serves every direction of `m̂`.
 
 use super::axial::{Potential, Shell};
 use super::sources::{MAGNETIC_CONSTANT, dipole};

@@ -77,8 +77,7 @@ fn look_through_tile(
 }
 
 /// Marks the triangles visible from cameras at poses [n 4 4]: in `seen` [n m], or in `seen` [1 m]
-/// for all cameras together. Bit 0 is visible, bit 1 resolved. All poses share one wall, or have
-/// one each.
+/// for all cameras. Bit 0 is visible, bit 1 resolved. There is one wall for all poses, or one each.
 ///
 /// # Errors
 /// If numbers of walls, poses, rows and triangles do not match, or a pose is not finite.

@@ -44,8 +44,7 @@ pub struct WallPoints {
 #[pymethods]
 impl WallPoints {
     /// Points on triangles of corners [k 3] with barycentric coordinates [k 2], fractions of the
-    /// whole that each represents at `frustum` and at the other levels [k 2], and cells of a map
-    /// [k].
+    /// whole that each represents at `frustum` and at other levels [k 2], and map cells [k].
     #[new]
     fn new(
         corners: PyReadonlyArray2<'_, u32>,

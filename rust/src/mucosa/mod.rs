@@ -137,8 +137,7 @@ impl Lot {
     }
 }
 
-/// Encoder to 8-bit sRGB (IEC 61966-2-1) by a table over the square root, which spaces codes
-/// evenly.
+/// Encoder to 8-bit sRGB (IEC 61966-2-1) by a table over the square root, for evenly spaced codes.
 struct Encoder([u8; Encoder::STEPS + 1]);
 
 impl Encoder {
@@ -262,8 +261,7 @@ impl Row<'_> {
 type TextureArrays<'py> =
     (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray1<u8>>, Bound<'py, PyArray1<f32>>);
 
-/// Bakes a mucosa into textures of `layout`: height, width and the wall's length under a texel
-/// [mm].
+/// Bakes a mucosa into textures of `layout`: height, width and the wall's length in a texel [mm].
 ///
 /// `wall` [n 11] holds each vertex's position [mm], normal, curvature [1/mm], arc length [mm] and
 /// factors on pits, bile and vessels; `uv` [m 6] the texture coordinates of each face's corners.

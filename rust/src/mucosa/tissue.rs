@@ -57,7 +57,7 @@ struct Structure {
     patch: Lane,
     mottle: Lane,
     grain: Lane,
-    /// Network of the finest vessels, with zero mean approximately.
+    /// Network of the finest vessels, with approximately zero mean.
     mesh: Lane,
     /// Height of the plateaus between pits: 1 on villi or areae, 0 in the gaps between them.
     plateau: Lane,

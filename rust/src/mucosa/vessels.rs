@@ -231,8 +231,7 @@ fn straighten(sites: &mut [Site], forest: &Forest, main: &[u32]) {
 /// Grows vessel trees over a wall (vertices in millimeters).
 ///
 /// Trunks enter from below at sites `trunk_spacing` apart; the nearest trunk feeds each site of the
-/// wall through a tree. Radii follow Murray's law, r³ = Σ r³ of the branches (Murray, PNAS 12:207,
-/// 1926).
+/// wall by a tree. Radii follow Murray's law, r³ = Σ r³ of the branches (PNAS 12:207, 1926).
 pub fn grow(
     vertices: &[Vec3],
     normals: &[Vec3],

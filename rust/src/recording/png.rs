@@ -57,7 +57,7 @@ impl Image {
         let mut encoder = png::Encoder::new(&mut file, self.width, self.height);
         encoder.set_color(self.color);
         encoder.set_depth(self.depth);
-        // Slower settings take over ten times as long for a seventh less
+        // Slower settings take over 10 times as long for a seventh less
         // (docs/concepts/datasets.md).
         encoder.set_compression(png::Compression::Fast);
         encoder.set_filter(png::Filter::Paeth);
@@ -101,8 +101,7 @@ fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     written
 }
 
-/// Writes a file, locked as one of a running process, and renames it when its bytes are on the
-/// disk.
+/// Writes a file, locked as one of a running process, and renames it once it is on the disk.
 fn write_and_rename(temporary: &Path, path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut file = File::create(temporary)?;
     if cfg!(unix) {

@@ -107,7 +107,7 @@ impl WinklerFoundation {
         };
         let x = speed / self.rate;
         let root = (1.0 + x * x).sqrt();
-        // The error of asinh for tiny x is negligible relative to 1.
+        // Plain formula of asinh: its error for tiny x is negligible relative to 1.
         let factor = max(1.0 + self.rate_gain * ln(x.abs() + root).copysign(x), 0.0);
         let by_speed = elastic.value * self.rate_gain / (self.rate * root);
         Pressure {

@@ -20,7 +20,7 @@ const FLATNESS: f64 = 0.6;
 const FINER: f64 = 0.4;
 /// Minimum size of a piece, as a fraction of the capsule's radius.
 const FINEST: f64 = 1.0 / 40.0;
-/// Maximum size of a piece, as a fraction of the same: the capsule's normal turns within a piece.
+/// Maximum size of a piece, as a fraction of the capsule's radius: its normal turns in a piece.
 const COARSEST: f64 = 0.3;
 /// Maximum change of depth within a piece, as a fraction of the depth of an e-fold of stiffness.
 const STEEPNESS: f64 = 1.0;
@@ -117,7 +117,7 @@ impl Indenter {
         }
         let facing = -offset.dot(cut.normal) / distance.max(f64::MIN_POSITIVE);
         let sine = (1.0 - facing * facing).max(0.0).sqrt();
-        // Distance is convex: no point of the piece is nearer than this
+        // Distance is convex: no point of the piece is nearer than this.
         if distance - reach * sine >= self.pressing.radius {
             return;
         }

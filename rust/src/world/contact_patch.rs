@@ -5,8 +5,7 @@ use crate::simd::f64x8::{LANES, Lane, Lane3, at, max, min, sum};
 use crate::tissue::winkler_foundation::WinklerFoundation;
 use glam::DVec3;
 
-/// Cosine between the wall's and the capsule's normal below which the contact area fades, to 0 at
-/// 0.
+/// Cosine between the normals of wall and capsule below which the contact area fades to zero.
 const GRAZING: f64 = 0.2;
 
 /// Capsule as an indenter.
@@ -223,7 +222,7 @@ struct Part {
 /// Integrates over a triangle with depths a, b, c at its corners.
 #[inline(always)]
 fn cut(a: f64, b: f64, c: f64) -> Part {
-    // Corner that is alone on its side of the cut, if any; its depth is q
+    // Corner that is alone on its side of the cut, if any; its depth is q.
     let (in_a, in_b, in_c) = (a > 0.0, b > 0.0, c > 0.0);
     let is_a = (in_a != in_b) & (in_a != in_c);
     let is_b = (in_b != in_a) & (in_b != in_c);

@@ -9,8 +9,8 @@
 //! is positive definite: the coupling creates no energy.
 //!
 //! A substep's force depends on the wall's velocity that follows from it. Each triangle is solved
-//! as if its own response were `b` times its own change of force, with b so large (row sums of
-//! B|, weighted by the triangles' stiffness) that by the theorem of Collatz and Wielandt these
+//! as if its own response were `b` times its own change of force, with b so large (row sums of |B|,
+//! weighted by the triangles' stiffness) that by the theorem of Collatz and Wielandt these
 //! iterations, one per substep, converge for any stiffness.
 
 use super::condensed_layer::{CondensedLayer, largest_weights, rise};
@@ -111,8 +111,7 @@ impl FemCoupling {
 
     /// Prepares substep `number` of `dt` [s]: begins an outer step if it is a multiple of `each`.
     ///
-    /// Every step of the world begins with a search. The times of other searches do not affect the
-    /// result.
+    /// Every step of the world begins with a search. Times of other searches do not affect results.
     pub fn keep_up(
         &mut self,
         layer: &mut FemLayer,

@@ -80,8 +80,8 @@ impl Resistance<'_> {
         (Twist::from_array(guess.change), Twist::from_array(force))
     }
 
-    /// Searches for the minimum from a guess along the direction `way`; returns the full step if
-    /// the function still falls at its end.
+    /// Minimum on the line from a guess along `way`; the full step if the function still falls
+    /// there.
     fn along(&self, system: &System, from: &Guess, way: &[f64; 6]) -> Guess {
         let (mut low, mut high) = ((0.0, dot(&from.lack, way)), None::<(f64, f64)>);
         let enough = FLAT * low.1;
@@ -108,8 +108,7 @@ impl Resistance<'_> {
         found
     }
 
-    /// True if the remaining change is below the tolerance: the system's inertia is at least that
-    /// of the body.
+    /// True if the change is below the tolerance: the system's inertia is at least the body's.
     fn is_done(&self, guess: &Guess, moved: Twist) -> bool {
         let (body, lack) = (self.body, Twist::from_array(guess.lack));
         let left = lack.linear.length() / body.mass;

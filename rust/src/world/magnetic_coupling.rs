@@ -9,7 +9,7 @@ use glam::{DMat3, DQuat, DVec3};
 
 /// Maximum phase of an oscillation per substep [rad]: a leapfrog is stable below 2.
 const LONGEST_SWING: f64 = 0.5;
-/// Numbers of a source's pose: position, quaternion wxyz, strength.
+/// Count of numbers in a row of a source: position, quaternion wxyz, strength.
 pub const SOURCE_ROW: usize = 8;
 
 /// Step of the finite difference of the force [m].

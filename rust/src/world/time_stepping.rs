@@ -48,7 +48,7 @@ pub fn fastest_point(body: &Body, before: &Motion, after: &Motion) -> f64 {
     speed(before).max(speed(after))
 }
 
-/// Searches the part of the wall near the capsule if either may have moved too far since.
+/// Searches the wall near the capsule if either may have moved too far since the last search.
 fn look_around(
     soft: &mut SoftWall,
     wall: &mut Wall,
@@ -274,7 +274,8 @@ impl Stepper {
         self.looks().iter().all(|&p| query::is_inside(&wall.bvh, p))
     }
 
-    /// True if the axis is in the lumen now: refits the hierarchy where its error may matter.
+    /// True if the axis is in the lumen now; refits the hierarchy if its error may exceed the
+    /// axis's distance from it.
     pub fn is_inside_now(&mut self, wall: &mut Wall) -> Result<bool, &'static str> {
         let off = self.soft.wall_travel;
         let is_clear =

@@ -60,7 +60,7 @@ impl Point {
     }
 }
 
-/// Elements with precomputed data at their quadrature points; each three in sequence form a prism.
+/// Elements with precomputed data at their quadrature points; three in sequence form a prism.
 pub struct Elements {
     pub material: Hyperelastic,
     /// Nodes of each element.
@@ -69,7 +69,7 @@ pub struct Elements {
     pub gradients: Vec<[DVec3; NODES]>,
     /// Volume of each quadrature point [m³].
     pub weights: Vec<f64>,
-    /// Functions onto which a prism's change of volume is projected, at each quadrature point
+    /// Functions for the projection of a prism's change of volume, at each quadrature point
     /// [m^-3/2].
     pub modes: Vec<[f64; MODES]>,
 }

@@ -31,7 +31,7 @@ impl Embedding {
         });
     }
 
-    /// Distributes forces of vertices to the free nodes that they are interpolated from, with equal
+    /// Distributes forces of vertices to the free nodes they are interpolated from, with equal
     /// work.
     pub fn gather(&self, force: impl Fn(usize) -> DVec3, out: &mut [DVec3]) {
         for (v, (nodes, weights)) in self.nodes.iter().zip(&self.weights).enumerate() {

@@ -1,8 +1,8 @@
 //! Quasi-Newton minimization with a constant, factorized matrix as preconditioner.
 //!
-//! Limited-memory BFGS whose initial inverse Hessian is that matrix (Liu, Bouaziz, Kavan, ACM
-//! Trans. Graph. 36(3), 2017; Nocedal, Wright, Numerical Optimization, 2006, algorithm 7.4): it is
-//! factorized once, for any change of the stiffness.
+//! Limited-memory BFGS whose initial Hessian is that matrix (Liu, Bouaziz, Kavan, ACM Trans. Graph.
+//! 36(3), 2017; Nocedal, Wright, Numerical Optimization, 2006, algorithm 7.4): it is factorized
+//! once, for any change of the stiffness.
 
 use super::sparse::{add_scaled, dot, longest};
 use glam::DVec3;

@@ -1,8 +1,8 @@
 //! Gut wall as a layer of finite elements, stepped by implicit Euler.
 //!
 //! Python meshes and assembles once; this module runs in every step. All values are in double
-//! precision and in SI units. One thread steps one layer, so that results do not depend on the
-//! number of threads.
+//! precision and in SI units. One thread steps one layer: results do not depend on the number of
+//! threads.
 
 mod elements;
 pub mod embedding;

@@ -16,8 +16,7 @@ impl FemLayer {
         }
     }
 
-    /// Velocities from the predicted ones under other forces, which add the momentum `gained`
-    /// [N·s].
+    /// Predicted velocities corrected for other forces, which add the momentum `gained` [N·s].
     pub fn correct(
         &mut self,
         predicted: Vec<DVec3>,

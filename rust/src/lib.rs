@@ -1,4 +1,4 @@
-//! Compiled core of vrcaps: rendering of, contact with and recording of a triangle-mesh wall.
+//! Compiled core of vrcaps: rendering, contact and recording with a wall of triangles.
 
 // Loops over lanes index several arrays at once; iterators would hide that from the vectorizer.
 #![allow(clippy::needless_range_loop)]

@@ -75,7 +75,7 @@ struct Rig<'a> {
 ///
 /// Returns the light that the medium scatters to the camera [3 h w] and the unscattered fraction of
 /// the wall's light [h w]. Rays [h w 3] are NaN outside the camera's field of view, distances [h w]
-/// are not finite where a ray hits no wall.
+/// where a ray hits no wall.
 #[pyfunction]
 #[pyo3(signature = (planes, rays, distance, start, pose, leds, medium))]
 #[allow(clippy::type_complexity, clippy::too_many_arguments)] // called from Python only

@@ -32,8 +32,8 @@ pub struct VirtualLights {
     all: Vec<VirtualLight>,
     /// Index of the first virtual light of each block, and the total number at the end.
     starts: Vec<usize>,
-    /// Approximate density of virtual lights of light that was reflected before, relative to that
-    /// of direct light [1/m²].
+    /// Approximate density of virtual lights of light that was reflected before, if all of it came
+    /// at normal incidence [1/m²].
     pub scattered: f32,
     /// LEDs with nonzero power.
     pub emitters: Vec<LedEmitter>,

@@ -129,12 +129,16 @@ def test_joint_angles_are_where_the_magnet_goes():
     program.controller.actuator = RobotActuator(robot)
     commands = ArmCommands(program)
     angles = [0.1, *robot.arm.home[1:]]
+    program.controller.status.actuator.joint_angles = np.array(angles)
     assert commands.send(JOINTS, {"position": angles}) == ""
     ((_, pose),) = commands._due(0.0)
     np.testing.assert_allclose(pose, magnet_pose_at(robot, np.array(angles)), atol=1e-12)
+    assert commands.send(JOINTS, {"name": ["joint_6", "joint_1"], "position": [0.5, -0.2]}) == ""
+    ((_, pose),) = commands._due(0.0)
+    expected = magnet_pose_at(robot, np.array([-0.2, *angles[1:5], 0.5]))
+    np.testing.assert_allclose(pose, expected, atol=1e-12)
     for message, error in (
         ({"position": [0.0]}, r"Allowed: 6 angles \[rad\]"),
-        ({"name": ["joint_1"], "position": [0.0]}, "position is of 1 joints. Allowed: 6"),
         ({"name": ["joint_7"], "position": [0.0]}, "Allowed: joint_1 to joint_6, each once"),
         ({"position": [0.0, 0.5, *[0.0] * 4]}, "collides with itself or the table"),
     ):

@@ -141,7 +141,8 @@ class MagnetCommands(Commands):
 class ArmCommands(MagnetCommands):
     """Commands of a magnet on an arm; in addition, the angles of the joints at a pose of it.
 
-    The magnet moves straight to the pose; an arm of seven axes may reach it by other angles.
+    The angles of joints that a message does not name are those at the time of its arrival. The
+    magnet moves straight to the pose; an arm of seven axes may reach it by other angles.
     """
 
     kinds: ClassVar[Mapping[str, str]] = {
@@ -157,9 +158,8 @@ class ArmCommands(MagnetCommands):
         robot = actuator.robot
         names = [f"joint_{k}" for k in range(1, robot.arm.num_joints + 1)]
         indices, given = _joint_values(message, names, "position", "angles [rad]")
-        if len(indices) < len(names):
-            raise InputError(f"position is of {len(indices)} joints. Allowed: {len(names)}.")
-        angles = np.empty(len(names))
+        state = self._program.controller.status.actuator
+        angles = np.array(state.joint_angles, float)
         angles[indices] = given
         clipped = np.clip(angles, robot.arm.lower, robot.arm.upper)
         if clearances(robot, clipped[None]).min() < 0.0:

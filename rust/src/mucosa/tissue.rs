@@ -125,7 +125,7 @@ pub struct Tissue {
     contrast: f32,
     /// Reflectance of mucus.
     tint: [f32; 3],
-    /// Level of the field at which the film of mucus begins.
+    /// Level of the field at the border of the film of mucus.
     border: f32,
     patch: Lattice,
     mottle: Lattice,

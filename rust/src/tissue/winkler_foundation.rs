@@ -11,7 +11,7 @@ pub struct WinklerFoundation {
     pub stiffening_depth: f64,
     /// Increase g of pressure with the logarithm of the speed of indentation.
     pub rate_gain: f64,
-    /// Speed of indentation at which that increase begins [m/s].
+    /// Speed of indentation above which that increase is effective [m/s].
     pub rate: f64,
     /// Depth beyond which a penalty stiffens the wall [m].
     guard: f64,
@@ -34,9 +34,9 @@ pub struct Pressure {
 
 /// Number of e-folds beyond which stiffness is constant, so that numbers stay finite.
 const MOST_FOLDS: f64 = 25.0;
-/// Depth at which the penalty begins, as a fraction of the capsule's radius.
+/// Depth above which the penalty acts, as a fraction of the capsule's radius.
 const GUARD: f64 = 0.5;
-/// Depth per e-fold of the penalty, as a fraction of the depth at which it begins.
+/// Depth per e-fold of the penalty, as a fraction of the depth above which it acts.
 const GUARD_FOLD: f64 = 0.066;
 
 impl WinklerFoundation {

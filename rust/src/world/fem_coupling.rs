@@ -109,9 +109,9 @@ impl FemCoupling {
         self.settle(layer, soft);
     }
 
-    /// Prepares substep `number` of `dt` [s]: begins an outer step if it is a multiple of `each`.
+    /// Prepares substep `number` of `dt` [s]: starts an outer step if it is a multiple of `each`.
     ///
-    /// Every step of the world begins with a search. Times of other searches do not affect results.
+    /// Every step of the world starts with a search. Times of other searches do not affect results.
     pub fn keep_up(
         &mut self,
         layer: &mut FemLayer,
@@ -131,7 +131,7 @@ impl FemCoupling {
         Ok(())
     }
 
-    /// Begins an outer step of `dt` [s].
+    /// Starts an outer step of `dt` [s].
     fn begin(&mut self, layer: &mut FemLayer, soft: &mut SoftWall, dt: f64) -> Outcome<()> {
         if dt != self.step {
             self.near = CondensedLayer::default();

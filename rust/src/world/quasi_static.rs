@@ -67,7 +67,7 @@ impl Stepper {
     /// Advances by a `duration` [s] in parts.
     pub fn relax(&mut self, wall: &mut Wall, load: &Load, duration: f64) -> Outcome {
         if !(duration > 0.0 && duration < LONGEST_STEP) {
-            return Err("Quasi-static motion needs steps above 0 and below 1000 s.");
+            return Err("Quasi-static motion requires steps of above 0 to 1000 s.");
         }
         let (mut totals, mut left) = (StepTotals::default(), duration);
         let most = (MOST_PARTS * duration).ceil() as usize;

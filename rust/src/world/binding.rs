@@ -437,7 +437,7 @@ impl World {
 /// Error for a wall that another thread is using.
 pub fn busy<E>(_: E) -> PyErr {
     PyRuntimeError::new_err(
-        "The wall is in use by another thread. Each world needs a wall and a layer that no other uses.",
+        "The wall is in use by another thread. Each world needs a wall and layer for itself.",
     )
 }
 

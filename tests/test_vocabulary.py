@@ -209,6 +209,23 @@ def messages(tree: ast.AST) -> Iterator[str]:
             yield from filter(None, map(plain_text, node.args))
 
 
+COMMENT = re.compile(
+    r"(?m)(?:^[ \t]*(//[/!]?)(?!/)(?:[ \t].*)?\n)(?:^[ \t]*\1(?!/)(?:[ \t].*)?\n)*"
+)
+"""Comment lines of one kind in Rust that follow one another."""
+
+
+def unclear_comments(source: str) -> list[str]:
+    """Unclear comments of a Rust file; those of code may open with a question word."""
+    found = []
+    for comment in COMMENT.finditer(source):
+        text = " ".join(re.sub(r"(?m)^[ \t]*//[/!]?", "", comment[0]).split())
+        is_doc = comment[1] != "//"
+        if unclear(text if is_doc else f"// {text}") or (is_doc and text.startswith("Whether ")):
+            found.append(text)
+    return found
+
+
 def headings(page: str) -> Iterator[str]:
     """Headings of a Markdown page."""
     code = False
@@ -243,6 +260,15 @@ def test_docstrings_messages_and_headings_state_their_subject(name: str) -> None
         path.name: texts
         for path in (*FILES, *PAGES)
         if area(path) == name and (texts := unclear_prose(path))
+    }
+    assert not found
+
+
+def test_comments_of_the_core_state_their_subject() -> None:
+    found = {
+        path.relative_to(ROOT).as_posix(): texts
+        for path in CRATE
+        if (texts := unclear_comments(path.read_text(encoding="utf-8")))
     }
     assert not found
 
@@ -317,6 +343,16 @@ def test_planted_sentences_are_unclear(sentence: str, tmp_path: Path) -> None:
     page.write_text(f"# {sentence}\n\n```\n# {sentence}\n```\n")
     assert len(unclear_prose(source)) == 4
     assert len(unclear_prose(page)) == 1
+
+
+@pytest.mark.parametrize("sentence", (*PLANTED, "Whether all of it are numbers."))
+def test_planted_comments_of_rust_are_unclear(sentence: str) -> None:
+    """As documentation of a module, in several lines, and of a field; code comments may ask."""
+    lines = sentence.replace(" ", "\n/// ")
+    assert len(unclear_comments(f"//! {sentence}\n\n/// {lines}\nsize: u32, // {sentence}\n")) == 2
+    assert len(unclear_comments(f"    /// {sentence}\n    size: u32,\n")) == 1
+    assert not unclear_comments("// When the wall rests, nothing is to do.\n//// What is a rule?\n")
+    assert unclear_comments("// Tries the step anew.\n") == ["Tries the step anew."]
 
 
 @pytest.mark.parametrize(

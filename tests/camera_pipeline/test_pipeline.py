@@ -433,9 +433,9 @@ def flow(f, points: tuple[int, ...], front: tuple | None = None):
             lambda f: flow(
                 f, (1, 1, 3), (f(4, 5).astype(np.uint8), f(4, 4), np.eye(4), (0.01, 0.005))
             ),
-            "What is in front",
+            "Foreground arrays",
         ),
-        (lambda f: testing.develop(f(3, 4, 4), (1.0, 1.0, 1.0), f(4, 5) > 0), "What is lit"),
+        (lambda f: testing.develop(f(3, 4, 4), (1.0, 1.0, 1.0), f(4, 5) > 0), "mask of lit pixels"),
         (lambda f: testing.demosaic(f(1, 2, 4), (0, 1, 1, 2)), "3 by 3"),
         (lambda f: testing.demosaic(f(3, 4, 4), (0, 1, 1, 2)), "A mosaic must"),
         (lambda f: testing.jpeg(f(4, 4, 3).astype(np.uint8), 0), "from 1 to 100"),
@@ -450,7 +450,7 @@ def test_arrays_that_do_not_fit(call, match: str) -> None:
 def test_patterns_that_do_not_fit() -> None:
     readout = READOUT | {"light": 1.0, "gain": 1.0, "response": (1.0, 1.0, 1.0)}
     planes, flat = np.ones((3, 4, 4), np.float32), np.ones((4, 4), np.float32)
-    with pytest.raises(ValueError, match="one number a site"):
+    with pytest.raises(ValueError, match="one value per photosite"):
         testing.read_sensor(planes, (flat, flat), readout, None, (0, 0))
     with pytest.raises(ValueError, match="Colors of a mosaic"):
         testing.read_sensor(planes, (flat, flat), readout, (0, 1, 1, 3), (0, 0))

@@ -135,7 +135,7 @@ def test_distances_in_many_walls_are_those_of_single_rays():
         units = way / np.linalg.norm(way, axis=1, keepdims=True)
         alone, _ = wall.cast(np.tile(place, (40, 1)), units)
         np.testing.assert_allclose(row, np.minimum(alone, 0.04), rtol=1e-5)
-    with pytest.raises(ValueError, match=r"need a place \[3\] and directions"):
+    with pytest.raises(ValueError, match=r"need a position \[3\] and directions"):
         _core.wall_distances(walls, places, ways[:1], 0.04)
     with pytest.raises(ValueError, match="must be finite, and not zero"):
         _core.wall_distances(walls, places, 0.0 * ways, 0.04)

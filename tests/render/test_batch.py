@@ -117,7 +117,7 @@ def test_bad_batches_are_one_clear_line():
         render_batch([renderer], poses[0], CAMERA)
     with pytest.raises(InputError, match=r"Array of rgb is float64 \(3, 20, 20\)"):
         render_batch([renderer], poses, CAMERA, out={"rgb": np.zeros((3, 20, 20))})
-    with pytest.raises(ValueError, match="radiance_planar is not for many"):
+    with pytest.raises(ValueError, match="radiance_planar is not available for several"):
         rays, planes = renderer._table(CAMERA, 1), np.zeros((3, 20, 20), np.float32)
         _core.render_batch(
             [renderer.model.wall],

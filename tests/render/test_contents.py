@@ -391,6 +391,6 @@ def test_refuses_spheres_that_are_none(organ: OrganSurface) -> None:
     state = looking((0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="radii above 0"):
         renderer.render(filled(state, balls(BALL, 0.0, WHITE)), camera)
-    with pytest.raises(ValueError, match="number of a pool for each vertex"):
+    with pytest.raises(ValueError, match="pool index for each vertex"):
         short = replace(pool(organ, 0.0), of_vertex=np.ones(3, np.uint16))
         renderer.render(filled(state, balls(BALL, RADIUS / 9, WHITE), short), camera)

@@ -197,7 +197,7 @@ pub fn isp<'py>(
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let (height, width) = size(&planes)?;
     if lit.shape() != [height, width] {
-        return Err(PyValueError::new_err("What is lit must be of the planes' shape (h, w)."));
+        return Err(PyValueError::new_err("The mask of lit pixels must fit the planes (h, w)."));
     }
     let (lit, size) = (lit.as_slice()?, (height, width));
     let isp = Isp::new(&StageParams::of(&stages)?, size, lit);

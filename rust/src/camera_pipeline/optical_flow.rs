@@ -44,7 +44,7 @@ impl<'a> Front<'a> {
         let (label, depth, pose, capsule) = given;
         let size = [rays.height, rays.width];
         if label.shape() != size || depth.shape() != size || pose.shape() != [4, 4] {
-            return Err(PyValueError::new_err("What is in front must fit the camera."));
+            return Err(PyValueError::new_err("Foreground arrays must fit the camera."));
         }
         let (label, depth) = (label.as_slice()?, depth.as_slice()?);
         let to_capsule = read_pose(pose)?;

@@ -260,7 +260,7 @@ pub fn develop<'py>(
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let (height, width) = size(&planes)?;
     if lit.shape() != [height, width] {
-        return Err(PyValueError::new_err("What is lit must be of the planes' shape (h, w)."));
+        return Err(PyValueError::new_err("The mask of lit pixels must fit the planes (h, w)."));
     }
     let (source, lit) = (planes.as_slice()?, lit.as_slice()?);
     let mut out = vec![0u8; source.len()];

@@ -208,7 +208,7 @@ pub fn read_sensor<'py>(
     let (height, width) = size(&planes)?;
     let count = if mosaic.is_some() { height } else { 3 * height };
     if pattern.iter().any(|p| p.shape() != [count, width]) {
-        return Err(PyValueError::new_err("The fixed pattern must have one number a site."));
+        return Err(PyValueError::new_err("The fixed pattern must have one value per photosite."));
     }
     if mosaic.is_some_and(|colors| colors.iter().any(|&c| c > 2)) {
         return Err(PyValueError::new_err("Colors of a mosaic are 0, 1, 2."));

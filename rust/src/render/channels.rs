@@ -126,7 +126,9 @@ pub fn refuse_partial(out: &Bound<'_, PyDict>) -> PyResult<()> {
     for name in out.keys() {
         let name: String = name.extract()?;
         if name.starts_with("sparse_") || name == "radiance_planar" {
-            return Err(PyValueError::new_err(format!("Channel {name} is not for many images.")));
+            return Err(PyValueError::new_err(format!(
+                "Channel {name} is not available for several images."
+            )));
         }
     }
     Ok(())

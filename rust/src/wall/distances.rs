@@ -30,7 +30,7 @@ pub fn wall_distances<'py>(
     let (count, num_rays, axes) = ways.dim();
     if axes != 3 || places.dim() != (count, 3) || walls.len() != count {
         return Err(PyValueError::new_err(
-            "Distances need a place [3] and directions [k 3] for each wall.",
+            "Distances need a position [3] and directions [k 3] for each wall.",
         ));
     }
     let vector = |row: ArrayView1<'_, f64>| DVec3::new(row[0], row[1], row[2]);

@@ -59,11 +59,11 @@ class Bubbles:
     landing_rate: float = 2.0
     release_rate: float = 0.05
     ior: float = 1.333
-    border: float = 0.11
-    gleam: float = 0.2
-    stain: tuple[float, float, float] = (0.9, 1.4, 2.8)
+    border: float = 0.08
+    gleam: float = 0.3
+    stain: tuple[float, float, float] = (0.9, 1.3, 2.0)
     roughness: float = 0.03
-    color: tuple[float, float, float] = (0.55, 0.36, 0.12)
+    color: tuple[float, float, float] = (0.5, 0.34, 0.2)
 
     def __post_init__(self) -> None:
         for name in ("per_area", "spread", "burst_rate", "landing_rate", "release_rate"):

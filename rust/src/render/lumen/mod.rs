@@ -155,7 +155,7 @@ fn pooled(wall: &Wall, given: &PoolArrays<'_>) -> PyResult<Pools> {
         given.levels.as_array().iter().map(|z| (z - wall.center[2]) as f32).collect();
     let known = |&pool: &u16| usize::from(pool) <= levels.len();
     if of_vertex.len() != wall.vertices.len() || !of_vertex.iter().all(known) {
-        return Err(PyValueError::new_err("Pools need the number of a pool for each vertex."));
+        return Err(PyValueError::new_err("Pools need a pool index for each vertex."));
     }
     Ok(Pools { levels, of_vertex })
 }

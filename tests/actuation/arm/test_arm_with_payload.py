@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.scenes import random_poses
-from vrcaps.actuation.arm.arm import Arm, forward, frames
+from vrcaps.actuation.arm.arm import Arm, forward, frames, nearest, read_arm
 from vrcaps.actuation.arm.arm_with_payload import (
     ArmWithPayload,
     check_speed,
@@ -64,9 +64,24 @@ def test_magnet_in_the_table(robot):
 
 def test_magnet_out_of_reach(robot):
     with pytest.raises(
-        InputError, match=r"Arm panda does not reach a magnet at \[1\.\s+0\.1 1\.\s+\]"
+        InputError,
+        match=r"Arm panda does not reach a magnet at \[1\.\s+0\.1 1\.\s+\] .*\(arm_base\)",
     ):
         solve_joint_angles(robot, magnet_pose((1.0, 0.1, 1.0), DOWN))
+
+
+def test_arm_without_a_closed_form_restarts_where_home_leads_nowhere():
+    robot = ArmWithPayload(read_arm("ur5e"), read_magnet("cylinder-76.2"))
+    home = np.array(robot.arm.home)
+    turns = np.random.default_rng(1).uniform(-2.8, 2.8, (60, 6))
+    turns = turns[clearances(robot, turns).min(axis=1) > 0.0]
+    flanges = forward(robot.arm, turns)
+    lost = turns[np.isnan(nearest(robot.arm, flanges, home)).any(axis=1)]
+    assert len(lost) > 0
+    target = magnet_pose_at(robot, lost[0])
+    angles = solve_joint_angles(robot, target)
+    np.testing.assert_allclose(magnet_pose_at(robot, angles), target, atol=1e-6)
+    np.testing.assert_array_equal(solve_joint_angles(robot, target), angles)
 
 
 def test_pose_must_be_rigid(robot):

@@ -149,6 +149,9 @@ def solve_joint_angles(
 ) -> Float[np.ndarray, " j"]:
     """Joint angles [rad] that hold the magnet at a pose, nearest to `near` (default: home).
 
+    An arm without a closed form starts from `near`, then from home, then from 30 random angles,
+    which are the same in every call.
+
     Raises:
         InputError: If the pose is not rigid, the magnet would be in the table, the arm cannot
             reach the pose within its limits, or it would collide with itself or the table.
@@ -162,11 +165,13 @@ def solve_joint_angles(
             f"Allowed: its lowest point at a height of {table:g} m or more."
         )
     home = np.array(robot.arm.home if near is None else near)
-    angles = nearest(robot.arm, flange_pose_at(robot, T_world_magnet), home)
+    flange = flange_pose_at(robot, T_world_magnet)
+    angles = nearest(robot.arm, flange, home, rng=np.random.default_rng(0))
     if np.isnan(angles).any():
         raise InputError(
             f"Arm {robot.arm.name} does not reach a magnet at {T_world_magnet[:3, 3]} m with its "
-            f"moment along {T_world_magnet[:3, 2]}. Bring it nearer to the base or turn it."
+            f"moment along {T_world_magnet[:3, 2]}. Bring it nearer to the base (arm_base) or turn "
+            "it."
         )
     _check_clear(robot, angles[None])
     return angles

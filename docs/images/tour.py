@@ -17,6 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 import vrcaps
 from vrcaps.actuation.arm.arm import frames as frames_of
+from vrcaps.core.files import write_bytes
 from vrcaps.core.geometry import transform_points, wall_of
 from vrcaps.core.units import CM
 from vrcaps.env.cameras import resized_camera
@@ -71,16 +72,30 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=0, help="patients and drives")
     options.add_argument("--quick", action="store_true", help="a few frames of each chapter")
     given = options.parse_args()
+    _require_writable(options, given)
     length = Length(2.0, quick=True) if given.quick else Length()
     video, count = Preview(fps=length.fps, width=WIDTH, height=HEIGHT, crf=40), 0
     for chapter in (opening, patients, labels, magnet, policy, cockpit, ending):
         for shot in chapter(length, given.seed):
             video.add([np.asarray(drawn(shot))])
             count += 1
-    given.out.parent.mkdir(parents=True, exist_ok=True)
-    given.out.write_bytes(video.finish())
+    write_bytes(given.out, video.finish())
     text = f"Wrote {given.out}: {count} frames, {count / length.fps:.0f} s.\n"
     sys.stdout.write(text)
+
+
+def _require_writable(options: argparse.ArgumentParser, given: argparse.Namespace) -> None:
+    """Exit if the seed or the path of the video cannot be used, before minutes of work."""
+    if given.seed < 0:
+        options.error(f"--seed is {given.seed}. Allowed: 0 or more.")
+    try:
+        if given.out.is_dir():
+            options.error(f"--out is {given.out}, a folder. Give a file.")
+        given.out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=given.out.parent):
+            pass
+    except (OSError, ValueError) as error:
+        options.error(f"--out is {given.out}: {error}. Give a file in a folder of yours.")
 
 
 def drawn(shot: Shot) -> Image.Image:

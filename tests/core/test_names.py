@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from vrcaps.core.errors import InputError
-from vrcaps.core.names import inside, listed, require_links_inside, require_name
+from vrcaps.core.names import inside, listed, regular, require_links_inside, require_name
 
 
 @pytest.mark.parametrize(
@@ -87,3 +87,17 @@ def test_hidden_and_system_files_are_not_listed(folder):
     (folder / "__MACOSX/9.png").write_bytes(b"")
     assert listed(folder, "**/*") == [folder / "rgb", folder / "rgb/0.png"]
     assert listed(folder, "rgb/*.png") == [folder / "rgb/0.png"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in folders")
+def test_a_pipe_is_refused_since_reading_it_never_ends(folder):
+    os.mkfifo(folder / "pipe")
+    for read in (
+        lambda: inside(folder, "pipe"),
+        lambda: regular(folder / "pipe"),
+        lambda: require_links_inside(folder),
+    ):
+        with pytest.raises(InputError, match=r"pipe is a pipe, socket or device\. Allowed: a file"):
+            read()
+    assert regular(folder) == folder
+    assert regular(folder / "none") == folder / "none"

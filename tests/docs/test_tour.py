@@ -28,3 +28,17 @@ def test_the_quick_video_has_all_chapters(tmp_path: Path) -> None:
     assert all(frame[60:460].std() > 5.0 for frame in shown)  # none is empty
     titles = re.findall(r'"(\d)  ', script.read_text())
     assert titles == ["1", "2", "3", "4", "5"]
+
+
+def test_a_wrong_path_or_seed_is_one_line_before_the_first_chapter(tmp_path: Path) -> None:
+    script, file = ROOT / "docs" / "images" / "tour.py", tmp_path / "file"
+    file.write_text("")
+    for given, error in (
+        (("--out", str(tmp_path)), "a folder. Give a file."),
+        (("--out", str(file / "tour.mp4")), "Give a file in a folder of yours."),
+        (("--seed", "-1"), "--seed is -1. Allowed: 0 or more."),
+    ):
+        result = run_program(script, "--quick", *given, folder=tmp_path)
+        assert result.returncode == 2
+        assert result.stderr.splitlines()[-1].endswith(error)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -1,5 +1,6 @@
 """Registry of formats: kinds, lazy imports, and a format that a user registers."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -12,8 +13,10 @@ import pytest
 
 from vrcaps.cli import main
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.data.ledger import PLAN
 from vrcaps.formats import FORMATS, Needs, read_sources
 from vrcaps.recording.frame_sequence import FrameSequence
+from vrcaps.recording.layout import EPISODE_JSON
 
 
 @pytest.mark.parametrize("kind", FORMATS.built_in)
@@ -116,6 +119,15 @@ def test_a_registered_format_cannot_replace_a_built_in_one():
 
     with pytest.raises(InputError, match="exists already"):
         FORMATS.register(Tum)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in folders")
+def test_a_pipe_instead_of_a_file_does_not_stop_the_reader(tmp_path):
+    (tmp_path / "a").mkdir()
+    for name in (f"a/{EPISODE_JSON}", PLAN):
+        os.mkfifo(tmp_path / name)
+        with pytest.raises(InputError, match="is a pipe, socket or device"):
+            read_sources([str(tmp_path)])
 
 
 def test_a_folder_of_episodes_is_a_source(pinhole_episode, tmp_path):

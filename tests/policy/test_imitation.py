@@ -69,3 +69,11 @@ def test_a_teacher_acts_by_observations(name: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=rf"learner\.teacher is '{name}', .* Allowed: explorer"):
         train(given, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_teacher_of_another_actuation_leaves_no_folder(tmp_path: Path) -> None:
+    given = settings()
+    learner = replace(given.learner, teacher="coverage-ppo")
+    with pytest.raises(InputError, match="coverage-ppo acts by wrench"):
+        train(replace(given, learner=learner), tmp_path / "out")
+    assert not (tmp_path / "out").exists()

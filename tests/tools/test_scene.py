@@ -207,6 +207,10 @@ def test_what_cannot_be_written_is_one_line(episode, scene, tmp_path):
         write_scene(scene, tmp_path / "a.txt")
     with pytest.raises(InputError, match=r"frame is 2\. Allowed: 0 to 1"):
         scene_of(episode, 2)
+    pytest.importorskip("pxr")
+    (tmp_path / "folder.usda").mkdir()
+    with pytest.raises(InputError, match=r"Cannot write .*folder\.usda: Is a directory"):
+        write_scene(scene, tmp_path / "folder.usda")
     with pytest.raises(InputError, match=r"Cannot write .*scene\.xml: No such file"):
         write_scene(scene, tmp_path / "no" / "scene.xml")
 

@@ -6,8 +6,10 @@ relative path that stays below its folder, even if links are followed.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
+import stat
 import unicodedata
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
@@ -23,19 +25,23 @@ _TURNING = ("LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI")
 _SYSTEM_FILES = ("thumbs.db", "desktop.ini", "__macosx", "icon\r")
 """Files and folders, in lower case, that Windows and macOS add to a user's folders."""
 
-_DATASET_ID = re.compile(r"([\w-]+/)*[\w-]+-v\d+", re.ASCII)
+_DATASET_ID = re.compile(r"((?!data/)[\w-]{2,}/)*[\w-]+-v\d{1,9}", re.ASCII)
+"""Folders of one character are no namespaces for Minari; `data` marks a data set."""
 
 
 def require_dataset_id(dataset_id: str) -> None:
     """Check the identifier of a Minari data set, such as ``vrcaps/stomach-v0``.
 
     Raises:
-        InputError: If it has other characters or no version.
+        InputError: If it is too long, has other characters, no version, or an impossible folder.
     """
-    if not _DATASET_ID.fullmatch(dataset_id):
+    is_text = isinstance(dataset_id, str) and len(dataset_id) <= _LONGEST
+    if not (is_text and _DATASET_ID.fullmatch(dataset_id)):
+        given = repr(dataset_id)
+        given = given if len(given) <= 80 else f"{given[:77]}..."
         raise InputError(
-            f"dataset_id is {dataset_id!r}. Allowed: letters, digits, - and _ with a version, such "
-            "as vrcaps/stomach-v0."
+            f"dataset_id is {given}. Allowed: letters, digits, - and _ with a version, such as "
+            f"vrcaps/stomach-v0, up to {_LONGEST}; a folder has two or more and is not data."
         )
 
 
@@ -95,13 +101,26 @@ def inside(folder: Path, name: Any) -> Path:
         ``folder / name``.
 
     Raises:
-        InputError: If it is not text, or leads out of the folder.
+        InputError: If it is not text, leads out of the folder, or is a pipe, socket or device.
     """
     if not isinstance(name, (str, Path)) or "\0" in str(name):
         raise InputError(f"A file in {folder} has the name {name!r}. Allowed: a relative path.")
     path = folder / name
     if not _leads_into(path, folder):
         raise _leads_out(path, folder)
+    return regular(path)
+
+
+def regular(path: Path) -> Path:
+    """Path, unless it is a pipe, socket or device, from which reading may never end.
+
+    Raises:
+        InputError: If it is one.
+    """
+    with contextlib.suppress(OSError):
+        mode = path.stat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise InputError(f"{path} is a pipe, socket or device. Allowed: a file. Remove it.")
     return path
 
 
@@ -109,13 +128,15 @@ def require_links_inside(folder: Path) -> None:
     """Check that no link in a folder or its subfolders leads out of it; hidden ones may.
 
     Raises:
-        InputError: If one does; states its path.
+        InputError: If one does, or a file is a pipe, socket or device; states its path.
     """
     for place, folders, files in os.walk(folder):
         folders[:] = [name for name in folders if not is_hidden(Path(name))]
         for path in (Path(place, name) for name in (*folders, *files)):
             if path.is_symlink() and not _leads_into(path, folder):
                 raise _leads_out(path, folder)
+        for name in files:
+            regular(Path(place, name))
 
 
 def listed(folder: Path, pattern: str) -> list[Path]:

@@ -25,6 +25,7 @@ from vrcaps.config.fields import Range, check_fields
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.errors import InputError, StorageError, require
 from vrcaps.core.files import remove_stale, sync_folder, temporary_beside
+from vrcaps.core.names import regular
 from vrcaps.core.processes import FolderInUseError, file_lock
 from vrcaps.organ.organ_file import organ_glb
 from vrcaps.organ.surface import OrganSurface, organ_sha256
@@ -87,7 +88,7 @@ class LocalStore:
 
     def read(self, name: str) -> bytes:
         """Return the bytes of a file."""
-        return (self.folder / name).read_bytes()
+        return regular(self.folder / name).read_bytes()
 
     def has(self, name: str) -> bool:
         """Return whether a file exists."""

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from vrcaps import __version__
 from vrcaps.config.fields import Range, check_fields
-from vrcaps.core.errors import InputError, import_extra, require
+from vrcaps.core.errors import InputError, StorageError, import_extra, require
+from vrcaps.core.files import atomic_folder
 from vrcaps.core.geometry import quaternion_from_matrix
 from vrcaps.core.names import require_dataset_id
 from vrcaps.env.vector_env import CapsuleVectorEnv
@@ -205,33 +208,72 @@ def record_minari(
     Raises:
         InputError: If the identifier is not valid or exists already, or the policy cannot act in
             the environment.
+        StorageError: If Minari's folder cannot be written.
         MissingExtraError: If Minari is not installed.
     """
     minari = import_extra("minari", "robots")
     require_dataset_id(dataset_id)
-    require(1 <= episodes <= _MAX_EPISODES, "episodes", episodes, f"1 to {_MAX_EPISODES}")
-    if dataset_id in minari.list_local_datasets():
-        raise InputError(f"The Minari data set {dataset_id} exists already. Give another version.")
-    policy.requires.check(settings, name or type(policy).__name__)
-    env = CapsuleVectorEnv(settings, 1, autoreset_mode="Disabled")
-    buffers = [_episode(policy, env, seed + k) for k in range(episodes)]
-    with warnings.catch_warnings():  # on an author, a link and a specification, which are unknown
+    is_count = isinstance(episodes, int) and 1 <= episodes <= _MAX_EPISODES
+    require(is_count, "episodes", episodes, f"1 to {_MAX_EPISODES}")
+    require(isinstance(seed, int) and seed >= 0, "seed", seed, "a whole number from 0")
+    name, task = name or type(policy).__name__, settings.task.kind
+    policy.requires.check(settings, name)
+    metadata = {
+        "dataset_id": dataset_id,
+        "algorithm_name": name,
+        "description": f"A capsule in the task {task} of vrcaps {__version__}.",
+        "requirements": [f"vrcaps=={__version__}"],
+        "minari_version": minari.__version__,
+        "reward": f"that of the task {task}",
+    }
+    with atomic_folder(_new_place(dataset_id)) as partial:
+        env = CapsuleVectorEnv(settings, 1, autoreset_mode="Disabled")
+        storage = _new_storage(partial / "data", env)
+        storage.update_metadata(metadata)
+        for k in range(episodes):
+            storage.update_episodes([_episode(policy, env, seed + k)])
+    return minari.load_dataset(dataset_id)
+
+
+def _new_storage(path: Path, env: CapsuleVectorEnv) -> Any:
+    """Empty storage of Minari for an environment, with the names of its values."""
+    storages = import_extra("minari.dataset.minari_storage", "robots", package="minari")
+    spaces = (env.single_observation_space, env.single_action_space)
+    path.mkdir()
+    with warnings.catch_warnings():  # on a specification, which is unknown
         warnings.simplefilter("ignore", UserWarning)
-        data = minari.create_dataset_from_buffers(
-            dataset_id=dataset_id,
-            buffer=buffers,
-            observation_space=env.single_observation_space,
-            action_space=env.single_action_space,
-            algorithm_name=name or type(policy).__name__,
-            description=f"A capsule in the task {settings.task.kind} of vrcaps {__version__}.",
-            requirements=[f"vrcaps=={__version__}"],
-            data_format="arrow",
-            jpeg_encoding=False,
+        storage = storages.MinariStorage.new(
+            path, *spaces, data_format="arrow", jpeg_encoding=False
         )
     names = {key: list(texts) for key, texts in env.observation_names.items()}
-    more = {"observation_names": names, "action_names": list(env.action_names)}
-    data.storage.update_metadata({**more, "reward": f"that of the task {settings.task.kind}"})
-    return data
+    storage.update_metadata({"observation_names": names, "action_names": list(env.action_names)})
+    return storage
+
+
+def _new_place(dataset_id: str) -> Path:
+    """Folder of a new data set, in an existing folder.
+
+    Raises:
+        InputError: If it exists already, or lies in another data set.
+        StorageError: If Minari's folder cannot be written.
+    """
+    roots = import_extra("minari.storage.datasets_root_dir", "robots", package="minari")
+    try:
+        root = roots.get_dataset_path()
+        path = root / dataset_id
+        if os.path.lexists(path):
+            raise InputError(
+                f"The Minari data set {dataset_id} exists already. Give another version."
+            )
+        for above in list(path.relative_to(root).parents)[:-1]:
+            if (root / above / "data").exists():
+                raise InputError(f"{dataset_id} lies in the data set {above}. Give another name.")
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(
+            f"Cannot write Minari's folder: {error}. Set MINARI_DATASETS_PATH to a folder of yours."
+        ) from error
+    return path
 
 
 def _episode(policy: Policy, env: CapsuleVectorEnv, seed: int) -> Any:

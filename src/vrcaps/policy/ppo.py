@@ -236,11 +236,7 @@ def imitate(learner: Ppo, teacher: Policy) -> dict[str, float]:
         InputError: If the teacher does not fit the actuation or the learner's observations.
     """
     env, s = learner.env_settings, learner.settings
-    own = {observation.name: observation for observation in env.observations}
-    wanted = teacher.requires.settings.get("observations", ())
-    others = tuple(o for o in wanted if o.name not in own)
-    envs = CapsuleVectorEnv(replace(env, observations=(*env.observations, *others)), s.num_envs)
-    teacher.requires.check(envs.settings, s.teacher)
+    envs = CapsuleVectorEnv(taught_settings(env, teacher, s.teacher), s.num_envs)
     data: list[tuple[np.ndarray, np.ndarray]] = []
     errors = {}
     for index in range(s.teacher_rounds):
@@ -249,6 +245,20 @@ def imitate(learner: Ppo, teacher: Policy) -> dict[str, float]:
         errors = _fit(learner, *(np.concatenate(part) for part in zip(*data, strict=True)))
     envs.close()
     return errors
+
+
+def taught_settings(env: EnvSettings, teacher: Policy, name: str) -> EnvSettings:
+    """Settings of an environment with the observations of a teacher of some name added.
+
+    Raises:
+        InputError: If the teacher does not fit the actuation or the observations.
+    """
+    own = {observation.name for observation in env.observations}
+    wanted = teacher.requires.settings.get("observations", ())
+    others = tuple(o for o in wanted if o.name not in own)
+    settings = replace(env, observations=(*env.observations, *others))
+    teacher.requires.check(settings, name)
+    return settings
 
 
 def _demonstrations(

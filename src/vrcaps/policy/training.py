@@ -29,7 +29,7 @@ from vrcaps.env.tasks import CoverageTask
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.policy.catalog import read_policy
 from vrcaps.policy.mlp_policy import read_mlp_policy, write_mlp_policy
-from vrcaps.policy.ppo import Ppo, PpoSettings, imitate, require_learner
+from vrcaps.policy.ppo import Ppo, PpoSettings, imitate, require_learner, taught_settings
 from vrcaps.training import PROGRESS, Progress, begin_training, exact_torch, restoring, run_training
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def train(
         MissingExtraError: If a package of the learner is not installed.
     """
     check_names(settings.env.organs, settings.env.capsule)
-    _require_teacher(settings.learner.teacher)
+    _require_teacher(settings.env, settings.learner.teacher)
     stated = plain_settings(settings)
     if start is not None:
         stated["start"] = file_sha256(start_file(start))
@@ -119,13 +119,17 @@ def train(
     return progress
 
 
-def _require_teacher(name: str) -> None:
-    """Check that a learner's teacher acts by observations, from which it can be imitated."""
-    if name and not read_policy(name).requires.observations:
+def _require_teacher(env: EnvSettings, name: str) -> None:
+    """Check that a learner's teacher fits, and acts by observations, so that it can be imitated."""
+    if not name:
+        return
+    teacher = read_policy(name)
+    if not teacher.requires.observations:
         raise InputError(
             f"learner.teacher is {name!r}, which acts by the true state of the simulation or at "
             "random, not by observations. Allowed: explorer, or a trained policy's file."
         )
+    taught_settings(env, teacher, name)
 
 
 class _Run:

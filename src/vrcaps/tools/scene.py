@@ -21,7 +21,7 @@ from vrcaps.actuation.arm.chain import LinkMass
 from vrcaps.actuation.steering_program import base_beside
 from vrcaps.capsule.device import Body, homogeneous_body
 from vrcaps.core.errors import InputError, import_extra, require
-from vrcaps.core.files import write_bytes
+from vrcaps.core.files import scratch_folder, write_bytes
 from vrcaps.core.geometry import invert, quaternion_from_matrix
 from vrcaps.magnet.magnets import Magnet, magnet_mesh
 from vrcaps.magnet.presets import read_magnet
@@ -248,7 +248,13 @@ def _write_obj(path: Path, vertices: Float[np.ndarray, "n 3"], faces: np.ndarray
 
 def _write_usd(scene: Scene, path: Path) -> None:
     pxr = {name: import_extra(f"pxr.{name}", "robots", package="usd-core") for name in _MODULES}
-    stage = pxr["Usd"].Stage.CreateNew(str(path))
+    with scratch_folder() as folder:  # a complete file replaces that of the path
+        file = folder / f"scene{path.suffix}"
+        _fill_stage(pxr, pxr["Usd"].Stage.CreateNew(str(file)), scene)
+        write_bytes(path, file.read_bytes())
+
+
+def _fill_stage(pxr: dict[str, Any], stage: Any, scene: Scene) -> None:
     geom, physics = pxr["UsdGeom"], pxr["UsdPhysics"]
     geom.SetStageUpAxis(stage, geom.Tokens.z)
     geom.SetStageMetersPerUnit(stage, 1.0)

@@ -278,8 +278,18 @@ MASS, NEXT = "[[masses]]\nframe = 2\n", "mass_kg = 1\n"
         ("title", "title = ", "is not TOML"),
         (
             "[[joints]]",
+            f"{MASS}mass_kg = 1e7\n[[joints]]",
+            "masses[0]: mass is 10000000.0. Allowed: above 0",
+        ),
+        (
+            "[[joints]]",
+            f"{MASS}mass_kg = 1\ncenter_mm = [1e10, 0, 0]\n[[joints]]",
+            "masses[0]: center is (10000000.0, 0.0, 0.0). Allowed: numbers from -1e+06 to 1e+06",
+        ),
+        (
+            "[[joints]]",
             f"{MASS}mass_kg = 0\n[[joints]]",
-            "masses[0]: mass is 0.0. Allowed: above 0.",
+            "masses[0]: mass is 0.0. Allowed: above 0 to 1000000.",
         ),
         (
             "[[joints]]",

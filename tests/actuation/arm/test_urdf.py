@@ -125,6 +125,27 @@ def test_masses_fixed_to_one_frame_are_combined(tmp_path):
     assert arm_from_urdf(without, name="two").masses == ()
 
 
+def test_links_without_inertia_have_the_assumed_one(tmp_path):
+    """Also where two are fixed to one frame: as points they would have no inertia about a line."""
+    stated = INERTIAL.format(mass=2, xx=2)
+    bare = stated[: stated.index("<inertia ")] + "</inertial></link>"
+    tip = bare.replace("0 0 1", "0 0 -1").replace("hand", "tip")
+    joint = '<joint name="tip" type="fixed"><parent link="hand"/><child link="tip"/></joint>'
+    text = CHAIN.replace('<link name="hand"/>', bare + tip)
+    (tmp_path / "two.urdf").write_text(text.replace("</robot>", f"{joint}</robot>"))
+    (mass,) = arm_from_urdf(UrdfArm(str(tmp_path / "two.urdf"), tool="tip"), name="two").masses
+    own = 4.0 * 0.1**2
+    np.testing.assert_allclose(mass.inertia, (4.0 + own, 4.0 + own, own, 0, 0, 0), atol=1e-12)
+
+
+def test_entities_are_refused_in_any_encoding(tmp_path):
+    text = '<?xml version="1.0" encoding="UTF-16"?><!DOCTYPE robot [<!ENTITY x "two">]>'
+    path = tmp_path / "two.urdf"
+    path.write_bytes((text + CHAIN.replace('name="two"', 'name="&x;"', 1)).encode("utf-16"))
+    with pytest.raises(InputError, match=r"two\.urdf: it is no URDF\. Allowed: .* without DOCTYPE"):
+        read_arm(path)
+
+
 def test_settings_of_a_toml_file_and_in_a_scenario(tmp_path):
     (tmp_path / "two.urdf").write_text(CHAIN)
     path = tmp_path / "mine.toml"
@@ -174,7 +195,22 @@ def test_settings_of_a_toml_file_and_in_a_scenario(tmp_path):
         (
             '<link name="hand"/>',
             INERTIAL.format(mass=-2, xx=1),
-            r"<inertial> after 2 joints: mass is -2\.0\. Allowed: above 0",
+            r"<inertial> of link hand has mass -2, .* Allowed: a mass above 0",
+        ),
+        (
+            '<link name="hand"/>',
+            INERTIAL.format(mass=2, xx="nan"),
+            r"of link hand has mass 2, ixx to izz nan, .* masses = false",
+        ),
+        (
+            '<link name="hand"/>',
+            INERTIAL.format(mass="1e300", xx=2).replace("0 0 1", "0 0 nan"),
+            r"of link hand has mass 1e\+300, .* numbers up to 100000",
+        ),
+        (
+            '<link name="hand"/>',
+            INERTIAL.format(mass=2, xx=-1),
+            r"ixx to izz -1, .* no negative principal moment",
         ),
         ("</robot>", "", r"Cannot read the URDF file"),
         ("robot", "sdf", r"is no URDF\. Allowed: the element <robot>"),

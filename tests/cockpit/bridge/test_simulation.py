@@ -140,6 +140,8 @@ def test_joint_angles_are_where_the_magnet_goes():
     for message, error in (
         ({"position": [0.0]}, r"Allowed: 6 angles \[rad\]"),
         ({"name": ["joint_7"], "position": [0.0]}, "Allowed: joint_1 to joint_6, each once"),
+        ({"name": "", "position": angles}, "name is ''. Allowed: joint_1 to joint_6"),
+        ({"name": 0, "position": angles}, "name is 0"),
         ({"position": [0.0, 0.5, *[0.0] * 4]}, "collides with itself or the table"),
     ):
         with pytest.raises(InputError, match=error):

@@ -1,5 +1,6 @@
 """Minari data sets of recordings, read and checked by Minari."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -65,13 +66,21 @@ def test_each_recording_is_an_episode(pinhole_episode, tmp_path):
         replace(pinhole_episode.sequence(), split=split, patient=split)
         for split in ("train", "test")
     ]
-    out = export(Minari("a/b-v1", reward="none"), sequences, tmp_path / "out")
+    out = export(Minari("my/b-v1", reward="none"), sequences, tmp_path / "out")
     data = minari.MinariDataset(out / "data")
     assert (data.total_episodes, data.total_steps) == (2, 8)
-    assert data.storage.metadata["dataset_id"] == "a/b-v1"
+    assert data.storage.metadata["dataset_id"] == "my/b-v1"
     splits = [one["split"] for one in data.storage.get_episode_metadata(range(2))]
     assert splits == ["train", "test"]
     assert not any(episode.rewards.any() for episode in data)
+
+
+def test_recordings_of_one_name_in_two_folders_are_both_written(pinhole_episode, tmp_path):
+    for place in ("one", "two"):
+        shutil.copytree(pinhole_episode.path, tmp_path / place / "run")
+    both = read_sources([str(tmp_path / place / "run") for place in ("one", "two")])
+    data = minari.MinariDataset(export(Minari(), both, tmp_path / "out") / "data")
+    assert data.total_episodes == 2
 
 
 def test_what_cannot_be_exported_is_one_line(pinhole_episode, tmp_path):

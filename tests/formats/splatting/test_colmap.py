@@ -64,7 +64,7 @@ def capsule():
     """Two cameras of one capsule that look in opposite directions."""
     front = ellipsoid_sequence(LENSES["OPENCV_FISHEYE"], 50, 42, name="run/front")
     rear = ellipsoid_sequence(LENSES["PINHOLE"], 48, 44, name="run/rear", mount=MOUNT)
-    episode = SimpleNamespace(name="run")
+    episode = SimpleNamespace(name="run", url="run")
     return [replace(each, episode=episode, split="val") for each in (front, rear)]
 
 

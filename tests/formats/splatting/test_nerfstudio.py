@@ -80,7 +80,7 @@ def test_what_was_written_is_read(model, tmp_path):
 
 def test_cameras_of_a_capsule_are_in_one_file(tmp_path):
     """Each frame then has its own lens; pixels outside a lens's field are masked."""
-    episode = SimpleNamespace(name="run")
+    episode = SimpleNamespace(name="run", url="run")
     narrow = replace(LENSES["OPENCV_FISHEYE"], max_angle=0.9)
     front = ellipsoid_sequence(LENSES["OPENCV_FISHEYE"], 50, 42, name="run/front")
     rear = ellipsoid_sequence(narrow, 48, 44, name="run/rear", frames=5)
@@ -98,7 +98,7 @@ def test_cameras_of_a_capsule_are_in_one_file(tmp_path):
 
 
 def test_cameras_of_different_models_need_a_choice(tmp_path):
-    episode = SimpleNamespace(name="run")
+    episode = SimpleNamespace(name="run", url="run")
     rig = [
         replace(ellipsoid_sequence(lens, 50, 42, name=f"run/{name.lower()}"), episode=episode)
         for name, lens in LENSES.items()

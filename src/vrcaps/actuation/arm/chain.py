@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any
@@ -20,6 +19,8 @@ Rows = tuple[Row, Row, Row]
 """First three rows of a pose."""
 _GYRATION = 0.1
 """Radius of gyration of a link without a stated inertia [m]."""
+_MOST = 1e6
+"""Maximum mass [kg], coordinate of a center [m] and moment of inertia [kg·m²] of a link."""
 
 
 def _in(unit: str, **options: Any) -> Any:
@@ -103,7 +104,7 @@ class LinkMass:
     """
 
     frame: Annotated[int, Range(min=0)]
-    mass: Annotated[float, Range(above=0.0, below=math.inf)] = _in("kg")
+    mass: Annotated[float, Range(above=0.0, max=_MOST)] = _in("kg")
     center: Vector = field(default=(0.0, 0.0, 0.0), metadata={"unit": "mm"})
     inertia: tuple[float, float, float, float, float, float] | None = field(
         default=None, metadata={"unit": "kg_m2"}
@@ -111,6 +112,9 @@ class LinkMass:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        for name, values in (("center", self.center), ("inertia", self.tensor)):
+            is_bounded = bool((np.abs(values) <= _MOST).all())
+            require(is_bounded, name, getattr(self, name), f"numbers from {-_MOST:g} to {_MOST:g}")
         moments = np.linalg.eigvalsh(self.tensor)
         is_possible = moments[0] > 0.0 and moments[2] <= (moments[0] + moments[1]) * (1.0 + 1e-9)
         allowed = "positive, and no principal moment above the sum of the other two"

@@ -25,6 +25,8 @@ _MAX_BYTES = 2**25
 """Maximum size of a URDF [byte]."""
 _MAX_MESH_BYTES = 2**28
 _MAX_JOINTS = 32
+_MAX_NUMBER = 1e5
+"""Maximum mass [kg], moment of inertia [kg·m²] and coordinate [m] of a link."""
 _PARENTS = 6
 """Number of folders above a URDF that are searched for the packages of its meshes."""
 _WHOLE_TURNS = 2.0 * math.pi
@@ -119,12 +121,20 @@ def _robot(path: Path) -> Any:
     require(size <= _MAX_BYTES, f"size of {path}", f"{size} byte", f"up to {_MAX_BYTES}")
     with reading(f"the URDF file {path}"):
         data = path.read_bytes()  # yourdfpy would repair what is not XML, and expand entities
-        if b"<!DOCTYPE" in data or ElementTree.fromstring(data).tag != "robot":
+        if ElementTree.fromstring(data, ElementTree.XMLParser(target=_Plain())).tag != "robot":
             raise InputError(f"{path} is no URDF. Allowed: the element <robot>, without DOCTYPE.")
         robot = yourdfpy.URDF.load(str(path), build_scene_graph=False, load_meshes=False).robot
     if not robot.links:
         raise InputError(f"{path} contains no links. Give a URDF file of a robot.")
     return robot
+
+
+class _Plain(ElementTree.TreeBuilder):
+    """Elements of a file without DOCTYPE, in any encoding."""
+
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
+        """Refuse definitions of entities, before one is expanded."""
+        raise ValueError("it is no URDF. Allowed: the element <robot>, without DOCTYPE")
 
 
 def _chain(path: Path, robot: Any, settings: UrdfArm) -> list[Any]:
@@ -254,20 +264,19 @@ def _masses(path: Path, robot: Any, offsets: _Offsets) -> tuple[LinkMass, ...]:
         if link.name not in offsets or own is None or not own.mass:
             continue
         frame, pose = offsets[link.name]
-        pose = pose if own.origin is None else pose @ np.asarray(own.origin, float)
-        tensor = np.zeros((3, 3)) if own.inertia is None else np.asarray(own.inertia, float)
-        turn = pose[:3, :3]
-        parts.setdefault(frame, []).append((float(own.mass), pose[:3, 3], turn @ tensor @ turn.T))
+        parts.setdefault(frame, []).append(_mass_of(path, link, pose))
     masses = []
     for frame, rows in sorted(parts.items()):
         mass = sum(row[0] for row in rows)
         center = np.sum([row[0] * row[1] for row in rows], axis=0) / mass
         tensor = np.zeros((3, 3))
+        is_stated = len(rows) > 1 or rows[0][2].any()
         for part, position, own in rows:  # parallel axes
-            away = position - center
-            tensor += own + part * (away @ away * np.eye(3) - np.outer(away, away))
+            away, is_known = position - center, own.any() or not is_stated
+            tensor += own if is_known else LinkMass(frame, part).tensor
+            tensor += part * (away @ away * np.eye(3) - np.outer(away, away))
         inertia: Any = (*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2])
-        inertia = tuple(map(float, inertia)) if tensor.any() else None
+        inertia = tuple(map(float, inertia)) if is_stated else None
         try:
             at: Any = tuple(map(float, center))
             masses.append(LinkMass(frame, mass, at, inertia))
@@ -277,6 +286,31 @@ def _masses(path: Path, robot: Any, offsets: _Offsets) -> tuple[LinkMass, ...]:
                 "in a TOML file with urdf."
             ) from error
     return tuple(masses)
+
+
+def _mass_of(
+    path: Path, link: Any, pose: Float[np.ndarray, "4 4"]
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Mass, center and inertia of a link in the frame to which it is fixed; 0 for no inertia.
+
+    Raises:
+        InputError: If the mass is not above 0, a number is not finite or too large, or a principal
+            moment is negative: a sum of links could hide it.
+    """
+    own = link.inertial
+    pose = pose if own.origin is None else pose @ np.asarray(own.origin, float)
+    tensor = np.zeros((3, 3)) if own.inertia is None else np.asarray(own.inertia, float)
+    mass, values = float(own.mass), np.concatenate([pose.ravel(), tensor.ravel()])
+    is_valid = 0.0 < mass <= _MAX_NUMBER and bool((np.abs(values) <= _MAX_NUMBER).all())
+    if not (is_valid and np.linalg.eigvalsh(tensor)[0] >= -1e-9 * np.abs(tensor).max()):
+        rows = ", ".join(f"{value:g}" for value in tensor[np.triu_indices(3)])
+        raise InputError(
+            f"{path}: <inertial> of link {link.name} has mass {mass:g}, ixx to izz {rows}. "
+            f"Allowed: a mass above 0, numbers up to {_MAX_NUMBER:g}, no negative principal "
+            "moment. Mend it, or give masses = false in a TOML file with urdf."
+        )
+    turn = pose[:3, :3]
+    return mass, pose[:3, 3], turn @ tensor @ turn.T
 
 
 def _vertices(path: Path, link: str, shape: Any, settings: UrdfArm) -> Float[np.ndarray, "n 3"]:

@@ -247,7 +247,8 @@ def _joint_values(
     Raises:
         InputError: If a name is unknown or repeated, or a value is missing or invalid.
     """
-    names = message.get("name") or list(known)
+    names = message.get("name")
+    names = list(known) if names is None or names == [] else names
     is_valid = isinstance(names, list) and all(isinstance(name, str) for name in names)
     if not (is_valid and set(names) <= set(known) and len(set(names)) == len(names)):
         allowed = f"{known[0]} to {known[-1]}, each once"

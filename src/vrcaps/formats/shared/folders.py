@@ -81,7 +81,7 @@ def recordings(
     for sequence in sequences:
         episode = sequence.episode
         name = folder_name(sequence) if episode is None else episode.name
-        source = sequence.name if episode is None else ""
+        source = sequence.name if episode is None else episode.url
         rigs.setdefault((sequence.split, name, source), []).append(sequence)
     for (split, name, _), rig in rigs.items():
         yield split, name, tuple(rig)

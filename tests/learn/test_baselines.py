@@ -18,7 +18,11 @@ from vrcaps.cli.learn_tables import (  # noqa: E402
     warn_if_constant,
 )
 from vrcaps.formats.io import read_source  # noqa: E402
-from vrcaps.learn.baselines import class_baselines, mask_baselines  # noqa: E402
+from vrcaps.learn.baselines import (  # noqa: E402
+    class_baselines,
+    log_depth_baselines,
+    mask_baselines,
+)
 from vrcaps.learn.card_results import results_of  # noqa: E402
 from vrcaps.learn.checkpoint import TrainedNetwork  # noqa: E402
 from vrcaps.learn.evaluation import (  # noqa: E402
@@ -142,6 +146,14 @@ def test_a_comparison_lists_network_and_baselines_with_intervals(learner, capsys
     print_comparison(table, found.metrics, "20 frames", groups)
     shown = capsys.readouterr().out
     assert all(name.split()[0] in shown for name in names)
+
+
+def test_brightness_counts_relative_to_the_exposure() -> None:
+    """Of two equal images, that of four times the exposure shows a wall at twice the distance."""
+    image = np.full((32, 32, 3), 120, np.uint8)
+    one = {"image": image, "depth": np.full((32, 32), 0.02), "exposure": np.float32(1.0)}
+    logs = log_depth_baselines([one, one | {"exposure": np.float32(4.0)}], ["a", "b"])
+    np.testing.assert_allclose(logs["brightness"][1] - logs["brightness"][0], np.log(2.0))
 
 
 def test_brightness_is_exact_for_a_facing_wall_of_one_color() -> None:

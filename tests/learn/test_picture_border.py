@@ -15,8 +15,9 @@ from vrcaps.learn.networks import Backbone
 from vrcaps.learn.picture_border import (
     assumed_camera,
     bright_part,
-    input_image,
+    exposure_of,
     inserts,
+    log_scale_of,
     view_of,
 )
 from vrcaps.learn.prediction import images_of
@@ -51,32 +52,54 @@ def test_the_border_is_what_is_black_at_the_edges() -> None:
 
 
 def test_depth_takes_the_image_at_the_exposure_of_the_camera() -> None:
-    """Twice the exposure doubles the linear image, so half of it is the input; colors only here."""
+    """Twice the exposure doubles the linear image; a bright wall is not clipped by the division."""
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+    from vrcaps.learn.samples import batch_of
+    from vrcaps.learn.tasks.depth import DepthTask
+
     image = framed()
-    one = sequence(image)
+    one = sequence(image, Camera("a", LensPinhole(fx=50.0, fy=50.0, cx=47.5, cy=31.5), 96, 64))
     exposed = replace(one, values={**one.values, EXPOSURE: np.array([2.0])})
-    half = srgb_from_linear(0.5 * linear_from_srgb(image))
-    np.testing.assert_array_equal(input_image(exposed, 0, predicts_lengths=True), half)
-    np.testing.assert_array_equal(input_image(exposed, 0), image)
-    np.testing.assert_array_equal(input_image(one, 0), image)
+    assert view_of(exposed, 0, predicts_lengths=True).exposure == 2.0
+    assert exposure_of(exposed, 0) == 2.0
+    assert view_of(exposed, 0).exposure == exposure_of(one, 0) == 1.0
+
+    torch.manual_seed(0)
+    learner = DepthTask(Backbone(32))
+    given: list[torch.Tensor] = []
+
+    def network(image: torch.Tensor, ray: torch.Tensor) -> torch.Tensor:
+        given.append(image)
+        return image[:, :1]
+
+    for exposure in (2.0, 0.1):
+        values = {**one.values, EXPOSURE: np.array([exposure])}
+        sample = learner.sample(replace(one, values=values), 0)
+        learner.output(network, batch_of([sample]))  # type: ignore[arg-type]
+        expected = linear_from_srgb(sample["image"]) / exposure
+        encoded = np.where(
+            expected <= 0.0031308, 12.92 * expected, 1.055 * expected ** (1.0 / 2.4) - 0.055
+        )
+        np.testing.assert_allclose(given[-1][0].permute(1, 2, 0), encoded, atol=1e-5)
+    assert given[-1].max() > 1.5
 
 
 def test_an_unknown_exposure_scales_distances() -> None:
     """Four times the light is taken for four times the exposure: twice the predicted distance."""
     image = framed()
     dark, plain = (srgb_from_linear(factor * linear_from_srgb(image)) for factor in (0.25, 1.0))
-    scales = [view_of(sequence(one), one, predicts_lengths=True).log_scale for one in (dark, plain)]
+    scales = [view_of(sequence(one), 0, predicts_lengths=True).log_scale for one in (dark, plain)]
     assert scales[1] - scales[0] == pytest.approx(math.log(2.0), abs=0.02)
     median = np.median(linear_from_srgb(np.array([180, 90, 70], np.uint8)).mean())
     assert scales[1] == pytest.approx(0.5 * math.log(median / 0.06), abs=0.02)
     known = replace(sequence(image), values={"time": np.zeros(1), EXPOSURE: np.array([2.0])})
-    assert view_of(known, image, predicts_lengths=True).log_scale == 0.0
+    assert view_of(known, 0, predicts_lengths=True).log_scale == 0.0
     unknown = replace(known, values={"time": np.zeros(1), EXPOSURE: np.array([np.nan])})
-    assert view_of(unknown, image, predicts_lengths=True).log_scale == scales[1]
-    np.testing.assert_array_equal(input_image(unknown, 0, predicts_lengths=True), image)
-    assert view_of(sequence(image), image).log_scale == 0.0  # tasks without lengths
+    assert view_of(unknown, 0, predicts_lengths=True).log_scale == scales[1]
+    assert view_of(unknown, 0, predicts_lengths=True).exposure == 1.0
+    assert view_of(sequence(image), 0).log_scale == 0.0  # tasks without lengths
     black = np.zeros_like(image)
-    assert view_of(sequence(black), black, predicts_lengths=True).log_scale == 0.0
+    assert view_of(sequence(black), 0, predicts_lengths=True).log_scale == 0.0
 
 
 def test_the_scale_of_an_unknown_exposure_reaches_prediction() -> None:
@@ -88,7 +111,7 @@ def test_the_scale_of_an_unknown_exposure_reaches_prediction() -> None:
     learner = DepthTask(backbone=Backbone(32))
     network = learner.network(is_pretrained=False).eval()
     camera = Camera("a", LensPinhole(fx=50.0, fy=50.0, cx=47.5, cy=31.5), 96, 64)
-    view = view_of(sequence(framed(), camera), framed(), predicts_lengths=True)
+    view = view_of(sequence(framed(), camera), 0, predicts_lengths=True)
     with torch.inference_mode():
         plain, scaled = (
             learner.output(network, batch_of([learner.view_inputs(one)]))
@@ -115,6 +138,26 @@ def test_training_drops_the_exposure_of_a_fraction_of_images() -> None:
         assert abs(sum(changed) - expected) <= 6 * (0.0 < dropout < 1.0)
 
 
+def test_training_changes_colors_of_images_of_unknown_exposure_alone() -> None:
+    pytest.importorskip("torch", reason="PyTorch is not installed")
+    from vrcaps.learn.augment import Augmentation
+    from vrcaps.learn.tasks.depth import DepthTask
+
+    colors = Augmentation(1.0, 1.5, 1.5, 1.0)
+    learner = DepthTask(Backbone(32), exposure_dropout=0.0, augmentation=colors)
+    image = np.full((32, 32, 3), (180, 90, 70), np.uint8)
+    known = {"image": image, "ray": np.ones((32, 32, 3)), "depth": np.ones((32, 32))}
+    known |= {"log_scale": np.zeros((), np.float32), "exposure": np.array(0.5, np.float32)}
+    unknown = known | {"log_scale": np.array(0.3, np.float32)}
+    kept, changed = (
+        learner.augment(dict(one), np.random.default_rng(3)) for one in (known, unknown)
+    )
+    np.testing.assert_array_equal(kept["image"], image)
+    assert (changed["image"] != image).any()
+    assert changed["log_scale"] == pytest.approx(log_scale_of(changed["image"]))
+    assert (float(kept["exposure"]), float(changed["exposure"])) == (0.5, 1.0)
+
+
 def test_an_insert_is_a_box_of_foreign_color_with_a_margin() -> None:
     part = framed()[bright_part(framed())]
     found = inserts(part)
@@ -125,7 +168,7 @@ def test_an_insert_is_a_box_of_foreign_color_with_a_margin() -> None:
 def test_the_lens_follows_the_part_that_is_left() -> None:
     """A ray through a pixel of the part is the ray through that pixel of the image."""
     lens = LensPinhole(fx=50.0, fy=50.0, cx=47.5, cy=31.5)
-    view = view_of(sequence(framed(), Camera("a", lens, 96, 64)), framed(), predicts_lengths=True)
+    view = view_of(sequence(framed(), Camera("a", lens, 96, 64)), 0, predicts_lengths=True)
     assert view.camera is not None
     assert (view.camera.width, view.camera.height) == (WIDTH, HEIGHT)
     pixel = np.array([[5.0, 7.0]])
@@ -138,11 +181,11 @@ def test_the_lens_follows_the_part_that_is_left() -> None:
 
 def test_tissue_in_blue_light_is_no_insert() -> None:
     blue = np.full((64, 96, 3), (40, 90, 80), np.uint8)
-    assert not view_of(sequence(blue), blue, predicts_lengths=True).is_insert.any()
+    assert not view_of(sequence(blue), 0, predicts_lengths=True).is_insert.any()
 
 
 def test_tasks_without_lengths_see_the_whole_image() -> None:
-    view = view_of(sequence(framed()), framed())
+    view = view_of(sequence(framed()), 0)
     assert view.image.shape == (64, 96, 3) and not view.is_insert.any()
 
 
@@ -197,7 +240,7 @@ def test_predict_estimates_what_evaluate_scores(tmp_path) -> None:
     found = evaluate(trained, samples_of(learner, [one]))
     predict(trained, (one,), tmp_path / "out")
     written = read_image(tmp_path / "out" / "a" / "000000.png").astype(float) * 1e-5
-    view = view_of(one, framed(), predicts_lengths=True)
+    view = view_of(one, 0, predicts_lengths=True)
     from vrcaps.learn.picture_border import Letterbox
 
     expected = view.whole(Letterbox(HEIGHT, WIDTH, 32).back(depth_of(found.outputs[0])))

@@ -40,12 +40,15 @@ def log_depth_baselines(samples: Sequence[Sample], groups: Sequence[str]) -> dic
     for LEDs at the lens, a wall of one color that faces the camera, and known exposure.
 
     Args:
-        samples: Frames with `depth` [m] [s s], NaN where it is not known.
+        samples: Frames with `depth` [m] [s s], NaN where it is not known, and with `exposure` if it
+            is known and not 1.
         groups: Group of each frame.
     """
     logs = np.stack([_log(sample["depth"]) for sample in samples])
     middle = float(np.nanmedian(logs))
-    cues = [_light_distance(sample["image"]) for sample in samples]
+    cues = [
+        _light_distance(one["image"]) + 0.5 * np.log(one.get("exposure", 1.0)) for one in samples
+    ]
     offset = np.nanmedian([np.nanmedian(log - cue) for log, cue in zip(logs, cues, strict=True)])
     return {
         "constant": [np.full(logs.shape[1:], middle) for _ in samples],

@@ -23,7 +23,7 @@ from torch import Tensor
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.derive import scaled_lens
 from vrcaps.camera.lens import LensEquidistant
-from vrcaps.core.color import linear_from_srgb, srgb_from_linear
+from vrcaps.core.color import linear_from_srgb
 from vrcaps.core.errors import InputError
 from vrcaps.recording.frame_sequence import EXPOSURE
 
@@ -146,6 +146,7 @@ class PictureView:
         is_insert: Mask of the device's inserts within the part [h w].
         log_scale: ln of the factor of predicted distances, see `log_scale_of`; 0 at a known
             exposure.
+        exposure: Exposure relative to the camera's own, see `exposure_of`; 1 if it is unknown.
     """
 
     image: UInt8[np.ndarray, "h w 3"]
@@ -154,6 +155,7 @@ class PictureView:
     shape: tuple[int, int]
     is_insert: Bool[np.ndarray, "h w"]
     log_scale: float = 0.0
+    exposure: float = 1.0
 
     def whole(self, values: NDArray) -> NDArray:
         """Convert a map of the part to the whole image, with 0 outside it and in inserts."""
@@ -162,22 +164,11 @@ class PictureView:
         return whole
 
 
-def input_image(
-    sequence: FrameSequence, index: int, *, predicts_lengths: bool = False
-) -> UInt8[np.ndarray, "h w 3"]:
-    """Return the color image of a frame as input of a network.
-
-    Args:
-        sequence: Sequence of the image.
-        index: Index of the frame.
-        predicts_lengths: Whether the task infers lengths. An image of a known automatic exposure is
-            then converted to the camera's own exposure, because brightness is a cue of distance.
-    """
-    image = sequence.image("rgb", index)
-    if not predicts_lengths or not _knows_exposure(sequence) or EXPOSURE not in sequence.values:
-        return image
-    exposure = float(np.nan_to_num(sequence.values[EXPOSURE][index], nan=1.0))
-    return srgb_from_linear(linear_from_srgb(image) / exposure)
+def exposure_of(sequence: FrameSequence, index: int) -> float:
+    """Exposure of a frame relative to the camera's own; 1 if it is fixed or unknown."""
+    if EXPOSURE not in sequence.values or not _knows_exposure(sequence):
+        return 1.0
+    return float(np.nan_to_num(sequence.values[EXPOSURE][index], nan=1.0))
 
 
 def _knows_exposure(sequence: FrameSequence) -> bool:
@@ -212,23 +203,26 @@ def _black_level(image: UInt8[np.ndarray, "h w 3"]) -> float:
 
 def view_of(
     sequence: FrameSequence,
-    image: UInt8[np.ndarray, "h w 3"],
+    index: int,
     field_of_view: float | None = None,
     *,
     predicts_lengths: bool = False,
 ) -> PictureView:
-    """Return the part of an image that is the input of a network.
+    """Return the part of a frame's image that is the input of a network.
 
     Args:
-        sequence: Sequence of the image.
-        image: The whole image.
+        sequence: Sequence of the frame.
+        index: Index of the frame.
         field_of_view: Angle across the width of the part [rad], for an assumed lens if the camera
             is not known.
-        predicts_lengths: Whether the task infers lengths. The part is then the tissue alone.
+        predicts_lengths: Whether the task infers lengths. The part is then the tissue alone, and
+            its exposure is stated, because brightness is a cue of distance.
 
     Raises:
-        InputError: If the camera makes images of another size.
+        InputError: If the camera makes images of another size, or the image cannot be read.
+        OSError: If the image cannot be read.
     """
+    image = sequence.image("rgb", index)
     camera, (height, width) = sequence.camera, image.shape[:2]
     if camera is not None and (camera.width, camera.height) != (width, height):
         raise InputError(
@@ -236,16 +230,18 @@ def view_of(
             f"{camera.width} x {camera.height}. Give a capsule with images of this size (--capsule "
             "NAME or FILE), or an assumed lens (--fov DEGREES)."
         )
+    exposure = exposure_of(sequence, index) if predicts_lengths else 1.0
     is_recording = sequence.episode is not None and camera in sequence.episode.cameras
     if predicts_lengths and not is_recording:
         view = tissue_view(image, camera, field_of_view)
-        return replace(view, log_scale=0.0) if _knows_exposure(sequence) else view
+        is_known = _knows_exposure(sequence)
+        return replace(view, log_scale=0.0, exposure=exposure) if is_known else view
     if camera is None and field_of_view is not None:
         camera = assumed_camera(width, height, field_of_view)
     whole, nowhere = (slice(0, height), slice(0, width)), np.zeros((height, width), bool)
     is_scaled = predicts_lengths and not _knows_exposure(sequence)
     log_scale = log_scale_of(image) if is_scaled else 0.0
-    return PictureView(image, camera, whole, (height, width), nowhere, log_scale)
+    return PictureView(image, camera, whole, (height, width), nowhere, log_scale, exposure)
 
 
 def tissue_view(

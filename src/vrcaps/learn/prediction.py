@@ -24,7 +24,6 @@ from vrcaps.learn.picture_border import (
     Letterbox,
     PictureView,
     assumed_camera,
-    input_image,
     view_of,
 )
 from vrcaps.learn.registry import TASKS
@@ -67,7 +66,7 @@ def images_of(
             raise InputError(LENS_NEEDED)
         if len(one) and "rgb" in one.channels:
             with suppress(OSError):
-                view_of(one, one.image("rgb", 0), predicts_lengths=cls.predicts_lengths)
+                view_of(one, 0, predicts_lengths=cls.predicts_lengths)
     return sequences
 
 
@@ -124,8 +123,7 @@ def _write_predictions(
         name = f"{sequence.name}/{file_name(sequence, index)}"
         lengths = {"predicts_lengths": task.predicts_lengths}
         try:
-            image = input_image(sequence, index, **lengths)
-            view = view_of(sequence, image, field_of_view, **lengths)
+            view = view_of(sequence, index, field_of_view, **lengths)
         except (InputError, OSError) as error:
             skipped[name] = reason_of(error)
             continue

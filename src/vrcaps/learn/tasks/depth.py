@@ -5,6 +5,10 @@ a light cue: the LEDs are next to the lens, so the brightness of a wall falls wi
 distance. Half the negative logarithm of brightness is therefore the logarithm of distance up to
 albedo, incidence and exposure.
 
+Images are converted to the camera's own exposure where their exposure is known. Colors then exceed
+1 where a camera with this exposure would saturate; they are compressed by a logarithm, but not the
+light cue.
+
 The loss is on d = ln prediction − ln ground truth: its mean absolute value, its variance
 (scale-invariant error, Eigen et al., NIPS 2014, eq. 4 with λ = 1), and its gradients at four scales
 (Li and Snavely, CVPR 2018, eq. 4).
@@ -30,7 +34,6 @@ from vrcaps.learn.picture_border import (
     LENS_NEEDED,
     Letterbox,
     PictureView,
-    input_image,
     log_scale_of,
     view_of,
 )
@@ -67,8 +70,8 @@ class DepthTask(BackboneTask[DepthTerms]):
         gradient_weight: Weight of the gradient loss.
         exposure_dropout: Fraction of training images whose exposure is treated as unknown: changed
             by up to a factor of 4, and compensated as in prediction.
-        augmentation: Random changes of training images. Disable the changes of color for one camera
-            with known exposure and light.
+        augmentation: Random changes of training images. Colors are changed only where the exposure
+            is unknown.
     """
 
     backbone: Backbone = field(default_factory=Backbone)
@@ -80,7 +83,7 @@ class DepthTask(BackboneTask[DepthTerms]):
     kind: ClassVar[str] = "depth"
     pipeline_tag: ClassVar[str] = "depth-estimation"
     input_names: ClassVar[tuple[str, ...]] = ("image", "ray")
-    optional_inputs: ClassVar[tuple[str, ...]] = ("log_scale",)
+    optional_inputs: ClassVar[tuple[str, ...]] = ("log_scale", "exposure")
     output_text: ClassVar[str] = "ln(depth z / 30 mm) of each pixel [b 1 s s]"
     metric: ClassVar[Metric] = Metric("abs_rel", is_error=True)
     predicts_lengths: ClassVar[bool] = True
@@ -103,16 +106,17 @@ class DepthTask(BackboneTask[DepthTerms]):
 
     def sample(self, sequence: FrameSequence, index: int) -> Sample:
         """Return the image without its black border, the rays, and the true depth or NaN."""
-        image = input_image(sequence, index, predicts_lengths=True)
-        view = view_of(sequence, image, predicts_lengths=True)
+        view = view_of(sequence, index, predicts_lengths=True)
         letterbox = Letterbox(view.image.shape[0], view.image.shape[1], self.input_size)
         depth = sequence.image("depth", index)[view.region]
         truth = letterbox.nearest(np.where(view.is_insert, np.nan, depth), np.nan)
         return {**self.view_inputs(view), "depth": truth}
 
     def view_inputs(self, view: PictureView) -> Sample:
-        """Return image, unit rays, and the logarithm of the scale at an unknown exposure."""
-        return {**super().view_inputs(view), "log_scale": np.array(view.log_scale, np.float32)}
+        """Return image, unit rays, exposure, and ln of the scale at an unknown exposure."""
+        numbers = {"log_scale": view.log_scale, "exposure": view.exposure}
+        more = {name: np.array(value, np.float32) for name, value in numbers.items()}
+        return {**super().view_inputs(view), **more}
 
     def inputs(
         self, image: UInt8[np.ndarray, "h w 3"], letterbox: Letterbox, camera: Camera | None
@@ -125,10 +129,10 @@ class DepthTask(BackboneTask[DepthTerms]):
         return image_and_rays(image, letterbox, camera)
 
     def augment(self, sample: Sample, rng: np.random.Generator) -> Sample:
-        """Apply a random crop, flips and transposition, and color jitter to half of the samples.
+        """Apply a random crop, flips and transposition; recolor images of unknown exposure.
 
-        Brightness is a cue of distance. The loss is mainly absolute, so it is minimal at the
-        median: as half of the images keep their colors, the prediction keeps their scale.
+        Brightness is a cue of distance where the exposure is known, so these colors are kept.
+        Images whose exposure is dropped stand for those of other cameras.
         """
         sample = self.augmentation.crop(sample, rng)
         for axis, component in ((1, 0), (0, 1)):
@@ -138,20 +142,28 @@ class DepthTask(BackboneTask[DepthTerms]):
         if rng.random() < 0.5:
             sample = transpose(sample)
             sample["ray"] = sample["ray"][..., [1, 0, 2]]
+        image = sample["image"]
         if rng.random() < self.exposure_dropout:
-            image = _exposed(sample["image"], rng)
-            log_scale = np.array(log_scale_of(image), np.float32)
-            return sample | {"image": image, "log_scale": log_scale}
-        if rng.random() < 0.5:
+            image = _exposed(image, rng)
+        elif sample.get("log_scale", 0.0) == 0.0:
             return sample
-        return sample | {"image": self.augmentation.recolor(sample["image"], rng)}
+        image = self.augmentation.recolor(image, rng)
+        numbers = {"log_scale": log_scale_of(image), "exposure": 1.0}
+        more = {name: np.array(value, np.float32) for name, value in numbers.items()}
+        return sample | {"image": image, **more}
 
     def network(self, *, is_pretrained: bool) -> nn.Module:
         """Create a network from batches to ln(depth / 30 mm) [b 1 s s]."""
         return DepthNetwork(self.backbone, self.has_light_cue, is_pretrained=is_pretrained)
 
     def output(self, network: nn.Module, batch: Batch) -> Tensor:
-        """Return ln(depth / 30 mm) [b 1 s s]; the scale at an unknown exposure is added."""
+        """Return ln(depth / 30 mm) [b 1 s s]; the scale at an unknown exposure is added.
+
+        Images are converted to the camera's own exposure.
+        """
+        if "exposure" in batch:
+            exposure = batch["exposure"].view(-1, 1, 1, 1)
+            batch = {**batch, "image": _encoded(_linear(batch["image"]) / exposure)}
         output = super().output(network, batch)
         return output + batch["log_scale"].view(-1, 1, 1, 1) if "log_scale" in batch else output
 
@@ -228,7 +240,9 @@ class DepthNetwork(UNet):
 
     def forward(self, image: Tensor, *maps: Tensor) -> Tensor:
         """Return ln(depth / 30 mm) [b 1 s s] of color images and rays."""
-        return super().forward(image, *maps, *([light_cue(image)] if self.has_light_cue else []))
+        cue = [light_cue(image)] if self.has_light_cue else []
+        compressed = torch.where(image > 1.0, 1.0 + 0.5 * torch.log(image.clamp(min=1.0)), image)
+        return super().forward(compressed, *maps, *cue)
 
 
 def depth_loss(output: Tensor, depth: Tensor, gradient_weight: float) -> Losses:
@@ -238,8 +252,6 @@ def depth_loss(output: Tensor, depth: Tensor, gradient_weight: float) -> Losses:
         output: ln(depth / 30 mm).
         depth: True depth [m] [b s s], NaN or 0 where it is not known.
         gradient_weight: Weight of the gradient loss.
-        exposure_dropout: Fraction of training images whose exposure is treated as unknown: changed
-            by up to a factor of 4, and compensated as in prediction.
     """
     valid = torch.isfinite(depth) & (depth > 0.0)
     target = torch.log(torch.where(valid, depth, MIDDLE) / MIDDLE)
@@ -284,9 +296,19 @@ def depth_picture(depth: Float[np.ndarray, "s s"], sample: Sample) -> UInt8[np.n
 
 
 def light_cue(image: Tensor) -> Tensor:
-    """−½ ln of linear brightness [b 1 s s], from color [b 3 s s] between 0 and 1."""
-    linear = torch.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4)
-    return -0.5 * torch.log(linear.mean(dim=1, keepdim=True) + _DARK)
+    """−½ ln of linear brightness [b 1 s s], from sRGB color [b 3 s s]."""
+    return -0.5 * torch.log(_linear(image).mean(dim=1, keepdim=True) + _DARK)
+
+
+def _linear(color: Tensor) -> Tensor:
+    """Linear values of sRGB-encoded ones, also above 1."""
+    return torch.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
+
+
+def _encoded(linear: Tensor) -> Tensor:
+    """Inverse of `_linear`."""
+    high = 1.055 * linear.clamp(min=0.0031308) ** (1.0 / 2.4) - 0.055
+    return torch.where(linear <= 0.0031308, 12.92 * linear, high)
 
 
 def _gradients(error: Tensor, valid: Tensor) -> Tensor:

@@ -142,14 +142,14 @@ def with_network_depth(sequence: FrameSequence, trained: TrainedNetwork) -> Fram
     camera = sequence.camera
     if camera is None:
         raise InputError(f"{sequence.name} has no calibrated camera, which depth requires.")
-    from vrcaps.learn.picture_border import input_image, view_of
+    from vrcaps.learn.picture_border import view_of
 
     require_depth(trained)
     lengths = {"predicts_lengths": trained.task.predicts_lengths}
 
     def depth_of(index: int) -> Float[np.ndarray, "h w"]:
-        view = view_of(sequence, input_image(sequence, index, **lengths), **lengths)
-        given = view.image, view.camera or camera, view.log_scale
+        view = view_of(sequence, index, **lengths)
+        given = view.image, view.camera or camera, view.log_scale, view.exposure
         depth = view.whole(network_depth(trained, *given))
         return np.where(depth > 0.0, depth, np.nan)
 
@@ -157,7 +157,11 @@ def with_network_depth(sequence: FrameSequence, trained: TrainedNetwork) -> Fram
 
 
 def network_depth(
-    trained: TrainedNetwork, rgb: UInt8[np.ndarray, "h w 3"], camera: Camera, log_scale: float = 0.0
+    trained: TrainedNetwork,
+    rgb: UInt8[np.ndarray, "h w 3"],
+    camera: Camera,
+    log_scale: float = 0.0,
+    exposure: float = 1.0,
 ) -> Float[np.ndarray, "h w"]:
     """Estimate depth z of an image [m] by a network; up to scale for the task `sfm`.
 
@@ -166,6 +170,7 @@ def network_depth(
         rgb: The image.
         camera: Camera of the image.
         log_scale: Logarithm of the factor of distances at an unknown exposure.
+        exposure: Exposure relative to the camera's own.
 
     Raises:
         InputError: If the weights are of another task.
@@ -176,10 +181,11 @@ def network_depth(
     require_depth(trained)
     height, width = rgb.shape[:2]
     letterbox = Letterbox(height, width, trained.task.input_size)
-    sample = trained.task.inputs(rgb, letterbox, camera)
+    numbers = {"log_scale": log_scale, "exposure": exposure}
+    given = {name: np.array(value, np.float32) for name, value in numbers.items()}
+    sample = trained.task.inputs(rgb, letterbox, camera) | given
     image = trained.task.files(trained(batch_of([sample]))[0], letterbox)[".png"]
     depth = CHANNELS["depth"].encoding.decode(image)
-    depth = np.exp(log_scale) * depth
     if trained.task.kind == "sfm":  # distances along rays
         depth = depth * camera.lens.unproject(pixel_grid(width, height))[..., 2]
     return depth

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -66,9 +67,9 @@ def test_depth_takes_the_image_at_the_exposure_of_the_camera() -> None:
 
     torch.manual_seed(0)
     learner = DepthTask(Backbone(32))
-    given: list[torch.Tensor] = []
+    given: list[Any] = []
 
-    def network(image: torch.Tensor, ray: torch.Tensor) -> torch.Tensor:
+    def network(image: Any, ray: Any) -> Any:
         given.append(image)
         return image[:, :1]
 

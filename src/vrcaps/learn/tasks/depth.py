@@ -114,9 +114,9 @@ class DepthTask(BackboneTask[DepthTerms]):
 
     def view_inputs(self, view: PictureView) -> Sample:
         """Return image, unit rays, exposure, and ln of the scale at an unknown exposure."""
-        numbers = {"log_scale": view.log_scale, "exposure": view.exposure}
-        more = {name: np.array(value, np.float32) for name, value in numbers.items()}
-        return {**super().view_inputs(view), **more}
+        stated = {"log_scale": view.log_scale, "exposure": view.exposure}
+        arrays = {name: np.array(value, np.float32) for name, value in stated.items()}
+        return {**super().view_inputs(view), **arrays}
 
     def inputs(
         self, image: UInt8[np.ndarray, "h w 3"], letterbox: Letterbox, camera: Camera | None
@@ -148,9 +148,9 @@ class DepthTask(BackboneTask[DepthTerms]):
         elif sample.get("log_scale", 0.0) == 0.0:
             return sample
         image = self.augmentation.recolor(image, rng)
-        numbers = {"log_scale": log_scale_of(image), "exposure": 1.0}
-        more = {name: np.array(value, np.float32) for name, value in numbers.items()}
-        return sample | {"image": image, **more}
+        stated = {"log_scale": log_scale_of(image), "exposure": 1.0}
+        arrays = {name: np.array(value, np.float32) for name, value in stated.items()}
+        return sample | {"image": image, **arrays}
 
     def network(self, *, is_pretrained: bool) -> nn.Module:
         """Create a network from batches to ln(depth / 30 mm) [b 1 s s]."""

@@ -181,9 +181,9 @@ def network_depth(
     require_depth(trained)
     height, width = rgb.shape[:2]
     letterbox = Letterbox(height, width, trained.task.input_size)
-    numbers = {"log_scale": log_scale, "exposure": exposure}
-    given = {name: np.array(value, np.float32) for name, value in numbers.items()}
-    sample = trained.task.inputs(rgb, letterbox, camera) | given
+    stated = {"log_scale": log_scale, "exposure": exposure}
+    arrays = {name: np.array(value, np.float32) for name, value in stated.items()}
+    sample = trained.task.inputs(rgb, letterbox, camera) | arrays
     image = trained.task.files(trained(batch_of([sample]))[0], letterbox)[".png"]
     depth = CHANNELS["depth"].encoding.decode(image)
     if trained.task.kind == "sfm":  # distances along rays

@@ -52,6 +52,25 @@ def test_values_reach_the_scenario_and_the_file():
     assert scenario_from_plain(scenario_to_plain(scenario)) == scenario
 
 
+@pytest.mark.parametrize("steered", ["magnet", "coils"])
+def test_a_file_of_commands_steers_the_magnet_or_the_coils(steered, tmp_path):
+    commands = tmp_path / "commands.csv"
+    commands.write_text(
+        "time_s,linear_x,linear_y,linear_z,angular_x,angular_y,angular_z\n0,1,0,0,0,0,0\n"
+    )
+    words = f"record --organ stomach --capsule magnetic --motion dynamics --steer {commands}"
+    command = cli._parse([*words.split(), "--set", f"motion.{steered}={{}}"])
+    assert isinstance(command, Record)
+    motion = command.resolved().motion
+    assert isinstance(motion, Dynamics)
+    files = {
+        name: None if part is None else part.command_file
+        for name, part in (("magnet", motion.magnet), ("coils", motion.coils))
+    }
+    assert [name for name, file in files.items() if file is not None] == [steered]
+    assert str(commands) in str(files[steered])
+
+
 @pytest.mark.parametrize(
     ("flags", "message"),
     [

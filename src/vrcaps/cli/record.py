@@ -14,7 +14,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
 from vrcaps.cli.console import console, progress_bars
 from vrcaps.cli.organ import lesion_lines
-from vrcaps.cli.scenario_flags import ImageFlags, MotionFlags, OrganFlags, changes
+from vrcaps.cli.scenario_flags import ImageFlags, MotionFlags, OrganFlags, changes, steer_path
 from vrcaps.core.errors import InputError
 from vrcaps.scenario.scenario import parse_lesions
 from vrcaps.scenario.settings import changed, parse_change, settings
@@ -188,6 +188,8 @@ class Record:
         flags = {**vars(self.organ), **vars(self.motion), **vars(self.images)}
         for path, value in (*changes(flags), *map(parse_change, self.set)):
             plain = changed(plain, path, value)
+        if flags["steer"] is not None:
+            plain = changed(plain, steer_path(plain), flags["steer"])
         is_toml = self.scenario is None or self.scenario.suffix == ".toml"
         scenario = scenario_from_plain(plain, units=is_toml)
         lesions = self._lesions(scenario)

@@ -41,6 +41,9 @@ _HELP = {
     "effects, and the noise of camera and sensors. The same seed gives the same bytes.",
     "patient_seed": "Seed of the patient only: generated organ, lesions and contents of the lumen; "
     "by default --seed. The same patient can thus be recorded with several motions.",
+    "steer": "CSV file of commands of the magnet: waypoints or joystick axes, see `read_commands`. "
+    "For a motion with coils and no magnet it is motion.coils.command_file: currents or joystick "
+    "axes.",
 }
 """Help of flags that set more than the value of their path."""
 
@@ -140,7 +143,7 @@ ImageFlags = _flags(
 
 
 def changes(flags: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Path and plain value of all changes of the flags to a scenario, in order.
+    """Path and plain value of all changes of the flags to a scenario, in order, without `steer`.
 
     Args:
         flags: Values of all groups of flags by name.
@@ -154,12 +157,20 @@ def changes(flags: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         yield "motion.kind", flags["motion"]
     for flag, path in _PATHS.items():
         value = flags[flag]
-        if value is not None and value is not False and flag != "patient_seed":
+        if value is not None and value is not False and flag not in ("patient_seed", "steer"):
             yield path, list(value) if isinstance(value, tuple) else value
     for name in flags["sensors"]:
         yield f"sensors.{name}", {}
     if flags["effects"] is not None:
         yield from _effect_changes(flags["effects"])
+
+
+def steer_path(plain: Mapping[str, Any]) -> str:
+    """Path of the file of commands in a plain scenario: that of the coils if they act alone."""
+    motion = plain.get("motion")
+    motion = motion if isinstance(motion, Mapping) else {}
+    has_coils = motion.get("coils") is not None and motion.get("magnet") is None
+    return "motion.coils.command_file" if has_coils else _PATHS["steer"]
 
 
 def _patient_changes(flags: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

@@ -11,9 +11,10 @@ from tests.support.small_envs import SHORT_GUT, small_settings
 from vrcaps.cli import main
 from vrcaps.cli.policy import Evaluate
 from vrcaps.core.errors import InputError, VrcapsError
-from vrcaps.env.actuation import Wrench
+from vrcaps.env.actuation import MagnetActuation, Wrench
 from vrcaps.env.settings import EnvSettings
 from vrcaps.policy.catalog import read_policy
+from vrcaps.policy.policy import Requirements
 from vrcaps.tools.reports.evaluation import PAGE, PICTURE, TABLE
 
 
@@ -44,6 +45,16 @@ def test_each_task_has_its_organ_its_time_and_its_actuation() -> None:
         "wrench",
     ]
     assert len(inspect.lesions) == 3
+
+
+@pytest.mark.parametrize("asked", ["", "magnet", "wrench"])
+def test_the_kind_of_the_training_keeps_its_settings(asked: str) -> None:
+    trained = MagnetActuation(speed=0.013)
+    policy = read_policy("random")
+    policy.requires = Requirements({"actuation": trained})  # pyright: ignore
+    settings = Evaluate(("random",), Path("unused"), actuation=asked)._settings(policy, "")
+    assert settings.actuation == (Wrench() if asked == "wrench" else trained)
+    assert trained != MagnetActuation()
 
 
 @pytest.mark.parametrize(

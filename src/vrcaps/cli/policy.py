@@ -193,7 +193,8 @@ class Evaluate:
 
     actuation: str = ""
     """Actuation of the capsule; by default that of the policy's training, one that suits the task,
-    or a wrench that balances gravity."""
+    or a wrench that balances gravity. The kind that the policy was trained with keeps the settings
+    of the training, such as the magnet's speed."""
 
     seeds: int = 80
     """Number of seeds, 0, 1, …; they cycle through the organs."""
@@ -273,7 +274,8 @@ class Evaluate:
         keywords: dict[str, Any] = dict(policy.requires.settings)
         if getattr(keywords.get("task"), "kind", "") != self.task:
             keywords["task"] = self.task
-        if self.actuation:
+        trained = keywords.get("actuation")
+        if self.actuation and self.actuation != getattr(trained, "kind", None):
             keywords["actuation"] = self.actuation
         if capsule:
             keywords["capsule"] = capsule

@@ -29,14 +29,18 @@ _DATASET_ID = re.compile(r"((?!data/)[\w-]{2,}/)*[\w-]+-v\d{1,9}", re.ASCII)
 """Folders of one character are no namespaces for Minari; `data` marks a data set."""
 
 
+def is_dataset_id(text: str) -> bool:
+    """Return whether a text identifies a Minari data set, such as ``vrcaps/stomach-v0``."""
+    return len(text) <= _LONGEST and _DATASET_ID.fullmatch(text) is not None
+
+
 def require_dataset_id(dataset_id: str) -> None:
     """Check the identifier of a Minari data set, such as ``vrcaps/stomach-v0``.
 
     Raises:
         InputError: If it is too long, has other characters, no version, or an impossible folder.
     """
-    is_text = isinstance(dataset_id, str) and len(dataset_id) <= _LONGEST
-    if not (is_text and _DATASET_ID.fullmatch(dataset_id)):
+    if not (isinstance(dataset_id, str) and is_dataset_id(dataset_id)):
         given = repr(dataset_id)
         given = given if len(given) <= 80 else f"{given[:77]}..."
         raise InputError(

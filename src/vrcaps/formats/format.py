@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, Protocol, runtime_checkable
 
 from vrcaps.core.errors import InputError
 from vrcaps.core.registry import Registry
@@ -64,6 +64,15 @@ class Format(Protocol):
         Raises:
             InputError: If the folder is not in this layout.
         """
+        ...
+
+
+@runtime_checkable
+class NamedByFolder(Protocol):
+    """Format whose files contain a name that follows the output folder by default."""
+
+    def for_folder(self, out: Path) -> Format:
+        """Return the format with the name filled in for an output folder."""
         ...
 
 

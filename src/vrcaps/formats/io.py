@@ -15,7 +15,7 @@ from vrcaps.core.files import atomic_folder
 from vrcaps.core.names import listed, require_links_inside
 from vrcaps.data.dataset import sequences_of
 from vrcaps.data.ledger import PLAN
-from vrcaps.formats.format import FORMATS, Format, require_channels
+from vrcaps.formats.format import FORMATS, Format, NamedByFolder, require_channels
 from vrcaps.formats.shared.stored_images import IMAGES
 from vrcaps.recording.frame_sequence import CAMERA_POSE, FrameSequence
 from vrcaps.recording.layout import EPISODE_JSON
@@ -57,6 +57,8 @@ def export(
         if progress is not None:
             progress(done, total)
 
+    if isinstance(form, NamedByFolder):
+        form = form.for_folder(out)
     with atomic_folder(out) as partial:
         form.write(sequences, partial, advance)
     return out

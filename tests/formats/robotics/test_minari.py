@@ -75,6 +75,32 @@ def test_each_recording_is_an_episode(pinhole_episode, tmp_path):
     assert not any(episode.rewards.any() for episode in data)
 
 
+@pytest.mark.parametrize(
+    ("folder", "dataset_id"),
+    [
+        ("minari/vrcaps/gut/drive-v0", "vrcaps/gut/drive-v0"),
+        ("minari/drive-v1", "drive-v1"),
+        ("minari/drive", "vrcaps/recordings-v0"),
+        ("else/vrcaps/drive-v0", "vrcaps/drive-v0"),
+        ("else/a b/drive-v0", "drive-v0"),
+        ("else/datasets/drive-v0", "drive-v0"),
+        ("else/vrcaps/drive", "vrcaps/recordings-v0"),
+    ],
+)
+def test_the_identifier_follows_the_folder(folder, dataset_id, tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    assert Minari().for_folder(tmp_path / folder).dataset_id == dataset_id
+    given = Minari("my/b-v1").for_folder(tmp_path / folder)
+    assert given.dataset_id == "my/b-v1"
+
+
+def test_minari_lists_an_export_in_its_folder(pinhole_episode, tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    (tmp_path / "vrcaps").mkdir()
+    export(Minari(), [pinhole_episode.sequence()], tmp_path / "vrcaps" / "drive-v0")
+    assert [*minari.list_local_datasets()] == ["vrcaps/drive-v0"]
+
+
 def test_recordings_of_one_name_in_two_folders_are_both_written(pinhole_episode, tmp_path):
     for place in ("one", "two"):
         shutil.copytree(pinhole_episode.path, tmp_path / place / "run")

@@ -6,9 +6,10 @@ Minari's Arrow storage, written by Minari: https://minari.farama.org.
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -17,7 +18,7 @@ import numpy as np
 from vrcaps import __version__
 from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import InputError, import_extra
-from vrcaps.core.names import require_dataset_id
+from vrcaps.core.names import is_dataset_id, require_dataset_id
 from vrcaps.formats.format import Needs, require_channels
 from vrcaps.formats.robotics.lerobot_tables import Rows, action_rows, state_rows, task_of
 from vrcaps.formats.shared.folders import recordings
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from vrcaps.formats.format import Advance
     from vrcaps.recording.episode import Episode
 
+_DEFAULT_ID = "vrcaps/recordings-v0"
 _STATE = "state"
 _REWARDS = {
     "progress": "distance of the capsule along the centerline towards the anal end [m]",
@@ -45,13 +47,15 @@ class Minari:
     Minari's data sets, `minari.load_dataset` loads it by its path there.
 
     Attributes:
-        dataset_id: Identifier in the metadata, with a version.
+        dataset_id: Identifier in the metadata, with a version; if empty, it is the path of the
+            output folder in Minari's folder, or elsewhere its last two parts or its name, such as
+            vrcaps/drive-v0; vrcaps/recordings-v0 if these are not valid.
         images: Store the color images of all cameras as observations.
         reward: Reward of a step: `progress`, the distance that the capsule moves along the
             centerline towards the anal end [m], or `none`, 0.
     """
 
-    dataset_id: str = "vrcaps/recordings-v0"
+    dataset_id: str = ""
     images: bool = False
     reward: Literal["progress", "none"] = "progress"
 
@@ -60,7 +64,12 @@ class Minari:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        require_dataset_id(self.dataset_id)
+        if self.dataset_id:
+            require_dataset_id(self.dataset_id)
+
+    def for_folder(self, out: Path) -> Minari:
+        """Return the data set with the identifier of an output folder, unless it has one."""
+        return self if self.dataset_id else replace(self, dataset_id=_id_of(out))
 
     def write(self, sequences: Sequence[FrameSequence], folder: Path, advance: Advance) -> None:
         """Write one data set with an episode for each recording.
@@ -116,7 +125,7 @@ class Minari:
         names = {_STATE: list(state_rows(episode).names)}
         names |= {_image(one): ["red", "green", "blue"] for one in self._cameras(recording)}
         return {
-            "dataset_id": self.dataset_id,
+            "dataset_id": self.dataset_id or _DEFAULT_ID,
             "algorithm_name": "recorded",
             "description": f"{task_of(episode)} Recorded by vrcaps {__version__}.",
             "requirements": [f"vrcaps=={__version__}"],
@@ -166,6 +175,22 @@ class Minari:
         if self.reward == "none":
             return np.zeros(len(episode) - 1)
         return np.diff(episode.table.columns["arc_length_m"])
+
+
+def _id_of(out: Path) -> str:
+    """Identifier of a data set in a folder; Minari lists it only if it is the path in its folder.
+
+    Outside Minari's folder a parent named `datasets` is taken for one.
+    """
+    out = Path(os.path.abspath(out))
+    root = os.environ.get("MINARI_DATASETS_PATH") or Path.home() / ".minari" / "datasets"
+    root = Path(os.path.abspath(root))
+    if out.is_relative_to(root):
+        candidates = [out.relative_to(root).as_posix()]
+    else:
+        pair = [] if out.parent.name == "datasets" else ["/".join(out.parts[-2:])]
+        candidates = [*pair, out.name]
+    return next(filter(is_dataset_id, candidates), _DEFAULT_ID)
 
 
 def _new_storage(path: Path, spaces: tuple[Any, Any]) -> Any:

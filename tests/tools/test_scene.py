@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -211,8 +212,16 @@ def test_what_cannot_be_written_is_one_line(episode, scene, tmp_path):
     (tmp_path / "folder.usda").mkdir()
     with pytest.raises(InputError, match=r"Cannot write .*folder\.usda: Is a directory"):
         write_scene(scene, tmp_path / "folder.usda")
-    with pytest.raises(InputError, match=r"Cannot write .*scene\.xml: No such file"):
-        write_scene(scene, tmp_path / "no" / "scene.xml")
+    (tmp_path / "file").touch()
+    for suffix in (".xml", ".usda"):
+        with pytest.raises(InputError, match=rf"Cannot write .*scene\{suffix}: File exists"):
+            write_scene(scene, tmp_path / "file" / f"scene{suffix}")
+
+
+def test_a_missing_folder_is_created(scene, tmp_path):
+    path = write_scene(scene, tmp_path / "new" / "deep" / "scene.xml")
+    assert ElementTree.parse(path).getroot().tag == "mujoco"
+    assert path.with_name("scene-wall.obj").is_file()
 
 
 def test_the_verb_says_what_it_wrote(episode, tmp_path, capsys):

@@ -122,7 +122,7 @@ def write_scene(scene: Scene, path: str | Path) -> Path:
 
     In MJCF the capsule has a free joint, the joints of the arm are hinges at the recorded angles in
     the keyframe `recorded`, and the magnet is fixed to the flange or, without an arm, a mocap body.
-    The wall is visual: MuJoCo would replace it by its convex hull.
+    The wall is visual: MuJoCo would replace it by its convex hull. A missing folder is created.
 
     Raises:
         InputError: If the suffix is unknown or the file cannot be written.
@@ -136,6 +136,7 @@ def write_scene(scene: Scene, path: str | Path) -> Path:
     if path.suffix not in writers:
         raise InputError(f"{path}: unknown kind of scene. Allowed: {', '.join(writers)}.")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         writers[path.suffix](scene, path)
     except OSError as error:
         raise InputError(f"Cannot write {path}: {error.strerror}.") from error

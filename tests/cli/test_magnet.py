@@ -38,5 +38,7 @@ def test_it_prints_and_draws(tmp_path, capsys):
 def test_a_capsule_without_a_magnet_is_one_line(tmp_path):
     with pytest.raises(InputError, match=r"Capsule mirocam contains no magnet\. Give"):
         Show("cylinder-50.8", capsule="mirocam", picture=tmp_path / "a.png").run()
-    with pytest.raises(InputError, match=r"--out is .*a\.gif\. Allowed"):
+    with pytest.raises(InputError, match=r"^--picture is .*a\.gif\. Allowed"):
         Show("cylinder-50.8", picture=tmp_path / "a.gif").run()
+    with pytest.raises(InputError, match=r"^--picture is .*, but the folder .* does not exist"):
+        Show("cylinder-50.8", picture=tmp_path / "no" / "a.png").run()

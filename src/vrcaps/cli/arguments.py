@@ -147,15 +147,15 @@ def require_existing(paths: Iterable[Path], what: str) -> None:
             raise InputError(f"Nothing at {path}. Give {what}.")
 
 
-def require_out(path: Path, suffix: str) -> None:
-    """Check the name and the folder of a file to write.
+def require_out(path: Path, suffix: str, option: str = "--out") -> None:
+    """Check the name and the folder of a file to write, which is the value of an option.
 
     Raises:
         InputError: If the name does not end in the suffix, or the folder does not exist.
     """
     if path.suffix != suffix:
-        raise InputError(f"--out is {path}. Allowed: a name that ends in {suffix}.")
+        raise InputError(f"{option} is {path}. Allowed: a name that ends in {suffix}.")
     if not path.absolute().parent.is_dir():
         raise InputError(
-            f"--out is {path}, but the folder {path.parent} does not exist. Create it first."
+            f"{option} is {path}, but the folder {path.parent} does not exist. Create it first."
         )

@@ -67,7 +67,7 @@ class Show:
         from vrcaps.capsule.device_file import read_device
 
         picture = self.picture or Path(f"{Path(self.magnet).stem}-field.png")
-        require_out(picture, ".png")
+        require_out(picture, ".png", "--picture")
         magnet = read_magnet(self.magnet)
         inside = read_device(self.capsule).magnets
         if not inside:

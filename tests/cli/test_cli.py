@@ -186,8 +186,10 @@ def test_all_settings_are_listed_with_type_unit_and_default(capsys) -> None:
         "motion.magnet.wall: upper, lower = lower [dynamics]",
         "render.light: direct, radiosity, path = radiosity",
         "organ.path: text = required [file]",
+        "sensors.hall.gap: float (any finite number of m) = 0.05",
     ):
         assert line in text
+    assert "-inf" not in text
     assert "Mean speed along the" in text
 
 

@@ -153,7 +153,7 @@ class HallPad:
 
     width: Annotated[float, Range(above=0.0, below=math.inf)] = 0.35
     count: Annotated[int, Range(min=2)] = 8
-    gap: Annotated[float, Range(above=-math.inf, below=math.inf)] = 50.0 * MM
+    gap: Annotated[float, Range(above=-math.inf, below=math.inf, unit="m")] = 50.0 * MM
     range: Annotated[float, Range(above=0.0)] = 50e-3
     gain_error: Annotated[float, Range(min=0.0, below=math.inf)] = 0.005
     offset_error: Annotated[float, Range(min=0.0, below=math.inf)] = 1e-6

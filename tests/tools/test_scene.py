@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -16,6 +18,7 @@ from vrcaps.actuation.arm.arm_with_payload import (
     magnet_pose_at,
     transverse_mount,
 )
+from vrcaps.actuation.coil_program import CoilSteering
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.capsule.device import homogeneous_body
 from vrcaps.cli import episodes as commands
@@ -30,27 +33,26 @@ from vrcaps.tools.scene import PosedArm, Scene, scene_of, write_scene
 pytestmark = pytest.mark.slow  # of the recording with an arm
 
 
-@pytest.fixture(scope="module")
-def episode(tmp_path_factory) -> Episode:
+def recorded(folder: Path, **motion: Any) -> Episode:
+    """Episode of two frames whose capsule is moved by a magnet or by coils."""
     device = vrcaps.read_device("magnetic")
     lens = vrcaps.LensEquidistant(focal=6.0, cx=7.5, cy=7.5)
     small = vrcaps.Camera("front", lens, 16, 16, position=(0.0, 0.0, 9e-3))
-    motion = Dynamics(
-        start=0.5,
-        magnet=MagnetSteering(arm="panda", standoff=0.1),
-        dynamics="quasi-static",
-        settle=0.0,
-        substep=1e-3,
-    )
     scenario = Scenario(
         GUT,
         replace(device, cameras=(small,)),
-        motion=motion,
+        motion=Dynamics(start=0.5, dynamics="quasi-static", settle=0.0, substep=1e-3, **motion),
         frames=2,
         channels=("depth",),
         effects=vrcaps.Effects.none(),
     )
-    return read_episode(record(scenario, tmp_path_factory.mktemp("scene") / "episode"))
+    return read_episode(record(scenario, folder))
+
+
+@pytest.fixture(scope="module")
+def episode(tmp_path_factory) -> Episode:
+    magnet = MagnetSteering(arm="panda", standoff=0.1)
+    return recorded(tmp_path_factory.mktemp("scene") / "episode", magnet=magnet)
 
 
 @pytest.fixture(scope="module")
@@ -228,3 +230,10 @@ def test_the_verb_says_what_it_wrote(episode, tmp_path, capsys):
     commands.Scene(episode.path, tmp_path / "a.xml", frame=1).run()
     assert capsys.readouterr().out == f"Wrote wall, capsule, magnet, arm to {tmp_path / 'a.xml'}.\n"
     assert (tmp_path / "a-wall.obj").is_file()
+
+
+def test_the_verb_says_that_coils_are_omitted(tmp_path, capsys):
+    episode = recorded(tmp_path / "episode", coils=CoilSteering())
+    commands.Scene(episode.path, tmp_path / "a.xml").run()
+    expected = f"Wrote wall, capsule to {tmp_path / 'a.xml'}, without the coils.\n"
+    assert capsys.readouterr().out == expected

@@ -189,7 +189,8 @@ class Scene:
     """Write the scene of an episode at a frame for other simulators: MJCF for MuJoCo, or USD.
 
     It holds the wall, the capsule with its mass and, if the capsule was steered, the magnet and the
-    arm. The wall is that of the frame if it was recorded with --wall, else at rest.
+    arm. Coils are not part of it. The wall is that of the frame if it was recorded with --wall,
+    else at rest.
 
     For example:
       vrcaps scene runs/steer --out steer.xml
@@ -211,7 +212,11 @@ class Scene:
         from vrcaps.recording.episode import read_episode
         from vrcaps.tools.scene import scene_of, write_scene
 
-        scene = scene_of(read_episode(self.episode), self.frame)
+        episode = read_episode(self.episode)
+        scene = scene_of(episode, self.frame)
         written = write_scene(scene, self.out)
         parts = ["wall", "capsule", *(["magnet"] if scene.magnet is not None else [])]
-        console.print(f"Wrote {', '.join(parts + ['arm'] * (scene.arm is not None))} to {written}.")
+        parts += ["arm"] * (scene.arm is not None)
+        has_coils = getattr(episode.scenario.motion, "coils", None) is not None
+        omitted = ", without the coils" if has_coils else ""
+        console.print(f"Wrote {', '.join(parts)} to {written}{omitted}.")

@@ -13,6 +13,7 @@ from vrcaps.actuation.arm.arm import forward, nearest
 from vrcaps.actuation.arm.chain import Arm, Link
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import invert
+from vrcaps.core.rng import stream
 from vrcaps.magnet.sources import Magnet, check_pose
 
 if TYPE_CHECKING:
@@ -166,7 +167,7 @@ def solve_joint_angles(
         )
     home = np.array(robot.arm.home if near is None else near)
     flange = flange_pose_at(robot, T_world_magnet)
-    angles = nearest(robot.arm, flange, home, rng=np.random.default_rng(0))
+    angles = nearest(robot.arm, flange, home, rng=stream(0, "arm/joint-angles"))
     if np.isnan(angles).any():
         raise InputError(
             f"Arm {robot.arm.name} does not reach a magnet at {T_world_magnet[:3, 3]} m with its "

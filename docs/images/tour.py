@@ -119,6 +119,12 @@ def blank() -> tuple[Image.Image, ImageDraw.ImageDraw]:
     return made, ImageDraw.Draw(made)
 
 
+def on_background(view: np.ndarray) -> Image.Image:
+    """Outside view [h w 3] from 0 to 1, with the background of the video in place of white."""
+    shown = np.where((view == 1.0).all(axis=-1, keepdims=True), np.array(BACKGROUND) / 255.0, view)
+    return Image.fromarray((255.0 * shown).astype(np.uint8))
+
+
 def lines(texts: Sequence[str]) -> Image.Image:
     """Picture with lines of text, the first one large."""
     made, draw = blank()
@@ -160,9 +166,8 @@ def patients(length: Length, seed: int) -> Iterator[Shot]:
         made, draw = blank()
         for k, (organ, wall, center) in enumerate(zip(organs, walls, centers, strict=True)):
             view = outside_view(organ, wall, axes, center, half, colors=colors, size_px=205)
-            view[(view == 1.0).all(axis=-1)] = np.array(BACKGROUND) / 255.0
             left, top = 120 + 260 * (k % 3), 215 * (k // 3)
-            made.paste(Image.fromarray((255.0 * view).astype(np.uint8)), (left, top))
+            made.paste(on_background(view), (left, top))
             draw.text((left, top + 6), f"patient {seed + k}", fill=QUIET, font=font(17))
         shot = Shot(
             "1  Patients",
@@ -235,8 +240,7 @@ class SideView:
         organ = replace(organ, normals=normals)
         wall = wall_of(organ.vertices, organ.faces)
         view = outside_view(organ, wall, *args, colors=colors, size_px=425)
-        view[(view == 1.0).all(axis=-1)] = np.array(BACKGROUND) / 255.0
-        self._image = Image.fromarray((255.0 * view).astype(np.uint8))
+        self._image = on_background(view)
         self._device, self._low = model.device, float(model.vertices_world[:, 2].min())
 
     def at(

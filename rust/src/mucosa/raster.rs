@@ -83,7 +83,7 @@ fn wrapped(value: i64, period: usize) -> usize {
     if inside { value as usize } else { value.rem_euclid(period as i64) as usize }
 }
 
-/// Offset to a covered texel along a row if none is near: larger than any padding.
+/// Offset that marks a texel without a covered texel near it in its row; it exceeds any padding.
 const FAR: i8 = i8::MAX;
 
 /// Exact Euclidean dilation by rows, then columns (Saito and Toriwaki 1994), with wrap-around.

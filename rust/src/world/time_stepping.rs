@@ -152,7 +152,7 @@ impl Stepper {
         result
     }
 
-    /// Checks the result of a step: the motion is finite, and the capsule has not broken through a
+    /// Checks that the motion after a step is finite and that the capsule has not passed through a
     /// layer of finite elements.
     fn check(&mut self, wall: &mut Wall) -> Outcome {
         if !self.motion.is_finite() {

@@ -45,7 +45,7 @@ class Range:
         high = f"below {_text(self.below)}" if self.below < math.inf else _text(self.max)
         unit = f" {self.unit}" if self.unit else ""
         if math.isinf(max(self.min, self.above)) and math.isinf(min(self.max, self.below)):
-            return f"any finite number{unit and f' of{unit}'}"
+            return f"any finite number of{unit}" if unit else "any finite number"
         if not math.isfinite(min(self.max, self.below)):
             is_open = self.above > -math.inf or self.min == -math.inf
             return (low if is_open else f"{low}{unit} or more") + (unit if is_open else "")

@@ -288,6 +288,11 @@ class BackboneTask(Task[Terms]):
 register_family(Task, TASKS)
 
 
+def scalars(**values: float) -> Sample:
+    """Scalar inputs of a sample."""
+    return {name: np.array(value, np.float32) for name, value in values.items()}
+
+
 def total(terms: Losses) -> Losses:
     """Add the sum of loss terms to them, as `loss`."""
     return {**terms, "loss": cast(Tensor, sum(terms.values()))}

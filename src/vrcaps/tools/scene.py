@@ -194,8 +194,7 @@ def _write_mjcf(scene: Scene, path: Path) -> None:
         if scene.arm is not None:
             extra, pose = {}, transverse_mount(scene.magnet)
         magnet = _add(holder, "body", name="magnet", **_place(pose), **extra)
-        inertia = scene.magnet.mass * np.diag(np.diag(mesh.moment_inertia / mesh.mass))
-        _add_inertia(magnet, scene.magnet.mass, inertia)
+        _add_inertia(magnet, scene.magnet.mass, _magnet_inertia(scene.magnet, mesh))
         _add(magnet, "geom", name="magnet", type="mesh", mesh="magnet", rgba=_MAGNET_COLOR, **seen)
     ElementTree.indent(root)
     write_bytes(path, ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
@@ -203,6 +202,11 @@ def _write_mjcf(scene: Scene, path: Path) -> None:
 
 def _free_position(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 7"]:
     return np.concatenate([pose[:3, 3], quaternion_from_matrix(pose[:3, :3])])
+
+
+def _magnet_inertia(magnet: Magnet, mesh: Any) -> Float[np.ndarray, "3 3"]:
+    """Inertia of a magnet of a shape about its center, in its own, principal axes [kg·m²]."""
+    return magnet.mass * np.diag(np.diag(mesh.moment_inertia / mesh.mass))
 
 
 def _add_inertia(
@@ -273,9 +277,8 @@ def _fill_stage(pxr: dict[str, Any], stage: Any, scene: Scene) -> None:
     _add_capsule(pxr, stage, "/scene/capsule/shell", 2.0 * body.half_axis, body.radius)
     if scene.magnet is not None:
         mesh = magnet_mesh(scene.magnet)
-        inertia = scene.magnet.mass * np.asarray(mesh.moment_inertia / mesh.mass)
         pose = np.asarray(scene.magnet.T_world_magnet, float)
-        mass = (scene.magnet.mass, inertia, (0.0, 0.0, 0.0))
+        mass = (scene.magnet.mass, _magnet_inertia(scene.magnet, mesh), (0.0, 0.0, 0.0))
         _add_body(pxr, stage, "/scene/magnet", pose, mass)
         vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
         _add_mesh(pxr, stage, "/scene/magnet/body", vertices, faces, _MAGNET_COLOR)

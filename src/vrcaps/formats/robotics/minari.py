@@ -137,13 +137,16 @@ class Minari:
 
     def _require_one_kind(self, given: Sequence[_Recording]) -> None:
         for recording in given:
-            name = recording[1]
             if len(_episode(recording)) < 2:
-                raise InputError(f"{name} has 1 frame. Allowed in a Minari data set: 2 or more.")
-            if self._layout(recording) != self._layout(given[0]):
                 raise InputError(
-                    f"{name} has other columns or cameras than {given[0][1]}. Export recordings of "
-                    "one kind into a data set."
+                    f"{recording[1]} has 1 frame. Allowed in a Minari data set: 2 or more."
+                )
+        first = self._layout(given[0])
+        for recording in given[1:]:
+            if self._layout(recording) != first:
+                raise InputError(
+                    f"{recording[1]} has other columns or cameras than {given[0][1]}. Export "
+                    "recordings of one kind into a data set."
                 )
 
     def _buffer(self, recording: _Recording) -> Any:

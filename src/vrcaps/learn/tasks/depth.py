@@ -37,7 +37,16 @@ from vrcaps.learn.picture_border import (
     log_scale_of,
     view_of,
 )
-from vrcaps.learn.task import MAX_WEIGHT, BackboneTask, Batch, Losses, Metric, Sample, total
+from vrcaps.learn.task import (
+    MAX_WEIGHT,
+    BackboneTask,
+    Batch,
+    Losses,
+    Metric,
+    Sample,
+    scalars,
+    total,
+)
 from vrcaps.metrics.depth import DepthErrors, depth_errors, mean_depth_errors
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.render.channels import CHANNELS
@@ -114,9 +123,8 @@ class DepthTask(BackboneTask[DepthTerms]):
 
     def view_inputs(self, view: PictureView) -> Sample:
         """Return image, unit rays, exposure, and ln of the scale at an unknown exposure."""
-        stated = {"log_scale": view.log_scale, "exposure": view.exposure}
-        arrays = {name: np.array(value, np.float32) for name, value in stated.items()}
-        return {**super().view_inputs(view), **arrays}
+        stated = scalars(log_scale=view.log_scale, exposure=view.exposure)
+        return {**super().view_inputs(view), **stated}
 
     def inputs(
         self, image: UInt8[np.ndarray, "h w 3"], letterbox: Letterbox, camera: Camera | None
@@ -148,9 +156,7 @@ class DepthTask(BackboneTask[DepthTerms]):
         elif sample.get("log_scale", 0.0) == 0.0:
             return sample
         image = self.augmentation.recolor(image, rng)
-        stated = {"log_scale": log_scale_of(image), "exposure": 1.0}
-        arrays = {name: np.array(value, np.float32) for name, value in stated.items()}
-        return sample | {"image": image, **arrays}
+        return sample | {"image": image} | scalars(log_scale=log_scale_of(image), exposure=1.0)
 
     def network(self, *, is_pretrained: bool) -> nn.Module:
         """Create a network from batches to ln(depth / 30 mm) [b 1 s s]."""

@@ -177,13 +177,13 @@ def network_depth(
     """
     from vrcaps.learn.picture_border import Letterbox
     from vrcaps.learn.samples import batch_of
+    from vrcaps.learn.task import scalars
 
     require_depth(trained)
     height, width = rgb.shape[:2]
     letterbox = Letterbox(height, width, trained.task.input_size)
-    stated = {"log_scale": log_scale, "exposure": exposure}
-    arrays = {name: np.array(value, np.float32) for name, value in stated.items()}
-    sample = trained.task.inputs(rgb, letterbox, camera) | arrays
+    stated = scalars(log_scale=log_scale, exposure=exposure)
+    sample = trained.task.inputs(rgb, letterbox, camera) | stated
     image = trained.task.files(trained(batch_of([sample]))[0], letterbox)[".png"]
     depth = CHANNELS["depth"].encoding.decode(image)
     if trained.task.kind == "sfm":  # distances along rays

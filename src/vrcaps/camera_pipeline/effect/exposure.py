@@ -126,7 +126,7 @@ class AutoExposure(ImageEffect):
     """
 
     time_constant: float
-    target: float = 0.13
+    target: float = 0.095
     min_light: float = 0.02
     max_light: float = 2.0
     max_gain: float = 8.0

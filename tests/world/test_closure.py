@@ -105,21 +105,36 @@ def test_arc_lengths_may_have_any_origin(model, shift):
     assert np.isfinite(vertices).all()
 
 
-def test_pleats_keep_most_of_the_perimeter():
-    """A closed section is longer than the circle of its mean radius: its wall hardly stretches."""
+def test_a_closed_section_is_a_folded_slit():
+    """Its perimeter is well above that of a circle of equal area, and below that at rest."""
     model = straight()
     pose = model.place(100 * MM).T_world_capsule
     ratios = []
-    for seed in range(4):
+    for seed in range(8):
         organ = replace(model.organ, metadata={CLOSED_RADIUS: CLOSED, "seed": seed})
-        vertices = closed_wall(replace(model, organ=organ), pose)
-        section = vertices[np.abs(organ.arc_length - 130 * MM) < 0.4 * MM]
-        radii = radius_at(model, vertices, 130 * MM)
-        section = section[np.argsort(organ.theta[np.abs(organ.arc_length - 130 * MM) < 0.4 * MM])]
-        edges = np.linalg.norm(np.diff(section, axis=0, append=section[:1]), axis=1)
-        ratios.append(edges.sum() / (2.0 * np.pi * radii.mean()))
-    assert min(ratios) > 1.25
-    assert len(np.unique(np.round(ratios, 3))) == 4
+        is_near = np.abs(organ.arc_length - 130 * MM) < 0.4 * MM
+        section = closed_wall(replace(model, organ=organ), pose)[is_near, :2]
+        x, y = section[np.argsort(organ.theta[is_near])].T
+        perimeter = np.hypot(x - np.roll(x, 1), y - np.roll(y, 1)).sum()
+        area = 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+        ratios.append(perimeter / np.sqrt(4.0 * np.pi * area))
+        assert 0.25 < perimeter / (2.0 * np.pi * RADIUS) < 1.0
+    assert min(ratios) > 1.4
+    assert np.mean(ratios) > 1.6
+    assert len(np.unique(np.round(ratios, 3))) == 8
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, 1.2])
+def test_the_slit_is_a_segment(turn):
+    """The center of a section becomes a segment of the slit's length, not a point."""
+    model = straight()
+    closure = LumenClosure(model, CLOSED)
+    is_near = np.abs(model.organ.arc_length - 130 * MM - turn * 10 * MM) < 0.4 * MM
+    along = closure._slit[is_near]
+    spread = np.linalg.svd(along[:, :2] - along[:, :2].mean(axis=0))[1]
+    assert np.ptp(np.linalg.norm(along[:, :2], axis=1)) > 0.8
+    assert 0.05 < spread[1] / spread[0] < 0.2
+    np.testing.assert_allclose(along[:, 2], 0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("pockets", [0.0, 0.3, 0.9])

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from vrcaps.world.model import Model
 
 
-_LEAST = 0.35 * MM
+_LEAST = 0.4 * MM
 """Minimum radius of a closed lumen [m]: the film of fluid between folds in contact."""
 _SOFT = 0.9 * MM
 """Radius below which folds that meet are compressed [m]."""
@@ -39,23 +39,31 @@ _RECENTER = 16 * MM
 """Distance over which the lumen returns from the capsule's axis to its own course [m]."""
 _SWAY, _PITCHES = 8.0 * MM, (13 * MM, 18 * MM)
 """Amplitude and wavelengths / 2π of the course of the closed lumen about the centerline [m]."""
+_BEND_LIMIT = 0.25
+"""Maximum distance of that course from the centerline, relative to its radius of curvature."""
 _TONE_PITCHES = (26 * MM, 41 * MM)
 """Wavelengths / 2π of the tone, which shortens the funnel and narrows the lumen [m]."""
-_FLATNESS, _TWIST = 0.5, 20 * MM
-"""Relative difference between the diameters of the slit, and arc length of one radian of twist."""
-_PLEATS = (3, 5, 8)
-"""Numbers of longitudinal pleats of a closed section, of which each stretch mixes two or three."""
-_PLEAT_PITCHES = (12 * MM, 9 * MM, 8 * MM)
-"""Wavelengths / 2π of the amplitudes of these pleats along the gut [m]."""
-_PLEAT_SHARE, _PLEAT_LIMIT = 0.35, 0.8
-"""Fraction of the excess perimeter that pleats take up, and their maximum amplitude relative to the
-mean radius."""
+_SLIT, _BEND = 4.0 * MM, 0.2
+"""Half length of the slit in which the closed wall meets [m], and its relative sagitta."""
+_TWIST = 20 * MM
+"""Arc length in which the slit turns by half a radian [m]."""
+_FOLD_WAVES = 32
+"""Number of waves of each of the two fields whose zeros are the creases between folds."""
+_FOLD_PITCHES, _MAX_LOBES = (1.5 * MM, 3.2 * MM), (2, 5)
+"""Range of the wavelengths / 2π of these waves along the gut [m], and for each field the maximum
+number of waves around it."""
+_CREASE = 0.5
+"""Half width of a crease, in deviations of its field."""
+_FOLD_SHARE, _FOLD_HEIGHT = 0.5, 3.0 * MM
+"""Height of the folds relative to √(R² − r²), and its maximum relative to the mean radius."""
 _POCKET_PITCHES = (17 * MM, 27 * MM, 41 * MM)
 """Wavelengths / 2π of the field whose crests are pockets of gas, a few centimeters long [m]."""
 _POCKET_EDGE = 0.9
 """Standard deviations of that field over which a pocket opens."""
 _FUNNEL = 13 * MM
 """Mean distance over which the lumen closes beyond the cylinder of the capsule [m]."""
+_ONSET = 7 * MM
+"""Distance beyond the cylinder of the capsule, which stretches the wall, at which it is folded."""
 _PLAY = 1.12
 """Mean radius of the lumen around the capsule, between folds, relative to the capsule's."""
 _SECTION = 4 * MM
@@ -67,18 +75,21 @@ _NUM_SAMPLES = 17
 class LumenClosure:
     """Displacement that closes the lumen before and behind the capsule.
 
-    Every cross-section contracts towards a point: the axis of the capsule where it lies, and a
-    course close to the centerline elsewhere. A point at a distance r from the centerline moves to
-    the smooth maximum of r − d and a minimum radius, which increases with r; d is the difference
+    Every cross-section contracts: towards the axis of the capsule where it lies, and towards a slit
+    on a course close to the centerline elsewhere. A point at a distance r from the centerline moves
+    to the smooth maximum of r − d and a minimum radius, which increases with r; d is the difference
     between the section's mean radius and the wanted one: that of the capsule around it, about
     `radius` beyond a funnel before and behind it, both by the local tone. So folds keep
-    their height until they meet and stay in their order, and sections do not cross.
+    their height until they meet and stay in their order, and sections do not cross. Points then
+    move along the slit, by a map that is one to one: (r, φ) to ((r + L) cos φ, r sin φ), for a slit
+    of half length L, and a slight bend.
 
-    The wall is hardly extensible: a section that closes from a radius R to r buckles into n
-    longitudinal pleats of amplitude A that keep its perimeter, r² + n² A² / 2 = R² (the mean of
-    the squared arc element of r + A cos nθ). Pockets of gas or fluid hold the lumen open: there the
-    wall stays at rest, in part or in full. Lengths, shares and numbers of pleats and pockets are
-    estimates from capsule frames.
+    The circular muscle shortens the wall, and the mucosa, which does not, buckles into folds. Their
+    height is proportional to √(R² − r²) for a section that closes from a radius R to r, as that of
+    sinusoidal pleats that keep the perimeter, r² + n² A² / 2 = R² (the mean of the squared arc
+    element of r + A cos nθ). Pockets of gas or fluid hold the lumen open: there the wall stays at
+    rest, in part or in full. Lengths, shares and sizes of folds, slit and pockets are estimates
+    from capsule frames.
 
     Attributes:
         model: Model whose wall is displaced.
@@ -108,7 +119,7 @@ class LumenClosure:
         span = _REACH + _FADE
         first, last = np.searchsorted(sorted_s, [s_axis[0] - span, s_axis[-1] + span])
         moved = order[first:last]
-        s, center, course, outward, radius, theta, mean = (each[moved] for each in self._polar)
+        s, center, course, outward, radius, mean = (each[moved] for each in self._polar)
         beyond = np.maximum(np.maximum(s_axis[0] - s, s - s_axis[-1]), 0.0)
         weight = smoothstep((span - beyond) / _FADE)
         own = np.exp(-((beyond / _RECENTER) ** 2))
@@ -118,13 +129,15 @@ class LumenClosure:
         low, high = np.interp([-cylinder, cylinder], np.linspace(-1, 1, _NUM_SAMPLES), s_axis)
         tone = np.sin(s / _TONE_PITCHES[0]) * np.sin(s / _TONE_PITCHES[1] + 1.0)
         funnel = _FUNNEL * np.exp(-0.8 * tone)
-        far = smoothstep(np.maximum(np.maximum(low - s, s - high), 0.0) / funnel)
+        away = np.maximum(np.maximum(low - s, s - high), 0.0)
+        far = smoothstep(away / funnel)
         wanted = (1.0 - far) * _PLAY * shell_radius + far * self.radius * np.exp(-0.9 * tone)
+        slit = far * np.minimum(_SLIT, 2.0 * self.radius) * np.exp(-0.4 * tone)
+        offset += slit[:, None] * self._slit[moved]
         depth = np.maximum(mean - wanted, 0.0)
-        slit = 1.0 + far * _FLATNESS * np.cos(2.0 * theta + s / _TWIST)
-        height = np.sqrt(np.maximum(mean**2 - wanted**2, 0.0)) * _PLEAT_SHARE
-        height = far * np.minimum(height, _PLEAT_LIMIT * wanted * _PLEATS[1] / 2.0**0.5)
-        free = radius - depth * slit + height * self._pleats[moved] - _LEAST
+        height = np.sqrt(np.maximum(mean**2 - wanted**2, 0.0)) * _FOLD_SHARE
+        height = np.minimum(height, _FOLD_HEIGHT) * smoothstep(away / _ONSET)
+        free = radius - depth - height * self._folds[moved] - 0.5 * slit - _LEAST
         closed = _LEAST + 0.5 * (free + np.hypot(free, _SOFT))
         weight = weight * (1.0 - self._openness[moved])
         closed = radius + weight * (np.minimum(closed, radius) - radius)
@@ -160,19 +173,38 @@ class LumenClosure:
         return order, self.model.organ.arc_length[order]
 
     @cached_property
-    def _pleats(self) -> Float[np.ndarray, " n"]:
-        """Radius of each vertex by pleats, relative to √2 A n of pleats that are equal.
-
-        Rounded ridges inwards, narrow creases outwards.
-        """
+    def _folds(self) -> Float[np.ndarray, " n"]:
+        """Relief of the buckled wall at each vertex: plump folds between narrow creases, mean 0."""
         s, theta = self.model.organ.arc_length, self.model.organ.theta
-        phases = self._rng("pleats").uniform(0.0, 2.0 * np.pi, (2, len(_PLEATS)))
-        total, norm = np.zeros(len(s)), np.full(len(s), 1e-6)
-        for number, pitch, first, second in zip(_PLEATS, _PLEAT_PITCHES, *phases, strict=True):
-            weight = np.sin(s / pitch + first)
-            total += weight / number * np.cos(number * theta + second)
-            norm += weight**2
-        return 2.0**0.5 * total / np.sqrt(norm)
+        rng, total = self._rng("folds"), np.zeros(len(s))
+        for lobes, least in zip(_MAX_LOBES, (0, 2), strict=True):
+            number = rng.integers(least, lobes + 1, _FOLD_WAVES) * rng.choice([-1, 1], _FOLD_WAVES)
+            low, high = np.log(_FOLD_PITCHES)
+            turns = np.exp(-rng.uniform(low, high, _FOLD_WAVES))
+            phase = rng.uniform(0.0, 2.0 * np.pi, _FOLD_WAVES)
+            field = np.zeros(len(s))
+            for n, k, p in zip(number, turns, phase, strict=True):
+                field += np.sin(k * s + n * theta + p)
+            field *= (2.0 / _FOLD_WAVES) ** 0.5
+            total += 0.5 * (1.0 - np.exp(-((np.abs(field) / _CREASE) ** 1.6)))
+        return total - total.mean()
+
+    @cached_property
+    def _slit(self) -> Float[np.ndarray, "n 3"]:
+        """Displacement of each vertex to the slit, relative to the slit's half length.
+
+        A point at the angle φ from the slit's axis moves by (cos φ, b (cos² φ − ½)): a circle
+        becomes a bent ellipse, and the center becomes a segment, in which the wall meets.
+        """
+        organ, pose = self.model.organ, self.model.T_world_patient
+        _, frames, _ = interpolate(organ.centerline, organ.arc_length)
+        turn = 0.5 * organ.arc_length / _TWIST + self._rng("slit").uniform(0.0, np.pi)
+        plane = (pose[:3, :3] @ frames)[:, :, :2]
+        axes = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        major = np.einsum("ijk,ik->ij", plane, axes)
+        minor = np.einsum("ijk,ik->ij", plane, np.stack([-axes[:, 1], axes[:, 0]], axis=1))
+        cosine = np.einsum("ij,ij->i", self._polar[3], major)[:, None]
+        return cosine * major + _BEND * (cosine**2 - 0.5) * minor
 
     @cached_property
     def _openness(self) -> Float[np.ndarray, " n"]:
@@ -190,18 +222,23 @@ class LumenClosure:
         return stream(seed if isinstance(seed, int) else 0, f"closure/{purpose}")
 
     @cached_property
+    def _curvature(self) -> Float[np.ndarray, " n"]:
+        """Curvature of the centerline at each vertex [1/m]."""
+        line = self.model.organ.centerline
+        tangent = np.gradient(line.points, line.arc_length, axis=0)
+        curvature = np.linalg.norm(np.gradient(tangent, line.arc_length, axis=0), axis=1)
+        return np.interp(self.model.organ.arc_length, line.arc_length, curvature)
+
+    @cached_property
     def _polar(self) -> tuple[np.ndarray, ...]:
         """Data of each vertex that do not depend on the pose.
 
         Arc length, center of its section, offset of the closed lumen from that center, outward
-        direction, radius, angle, and mean radius of the section.
+        direction, radius, and mean radius of the section.
         """
         organ, pose = self.model.organ, self.model.T_world_patient
         at, frames, _ = interpolate(organ.centerline, organ.arc_length)
         center = transform_points(pose, at)
-        phases = self._rng("course").uniform(0.0, 2.0 * np.pi, 2)
-        sway = _SWAY * np.sin(organ.arc_length[:, None] / np.array(_PITCHES) + phases)
-        course = np.einsum("ijk,ik->ij", (pose[:3, :3] @ frames)[:, :, :2], sway)
         offset = self.model.vertices_world - center
         radius = np.linalg.norm(offset, axis=1)
         outward = offset / np.maximum(radius, 1e-9)[:, None]
@@ -209,7 +246,14 @@ class LumenClosure:
         filled, part = np.unique(section, return_inverse=True)
         means = np.bincount(part, radius) / np.bincount(part)
         mean = np.interp(organ.arc_length, _SECTION * (filled + 0.5), means)
-        return organ.arc_length, center, course, outward, radius, organ.theta, mean
+        phases = self._rng("course").uniform(0.0, 2.0 * np.pi, 2)
+        sway = _SWAY * np.sin(organ.arc_length[:, None] / np.array(_PITCHES) + phases)
+        # The closed lumen stays within the wall at rest, and its sections do not cross in bends.
+        room = np.maximum(mean - self.radius - _SLIT, 0.0)
+        room = np.minimum(room, _BEND_LIMIT / np.maximum(self._curvature, 1e-6))
+        sway *= (room / np.hypot(room, np.linalg.norm(sway, axis=1)))[:, None]
+        course = np.einsum("ijk,ik->ij", (pose[:3, :3] @ frames)[:, :, :2], sway)
+        return organ.arc_length, center, course, outward, radius, mean
 
 
 def closure_of(model: Model) -> LumenClosure | None:

@@ -46,8 +46,9 @@ test: test-python test-rust
 test-python: $(VENV)/.stamp-dev
 	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST)
 
+# Without --lib the core is built twice, once for programs in comments, of which there are none.
 test-rust: $(VENV)/.stamp-venv
-	cargo test --quiet --manifest-path rust/Cargo.toml
+	cargo test --quiet --lib --manifest-path rust/Cargo.toml
 
 test-fast: $(VENV)/.stamp-dev
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'not slow and not wheel and not server and not notebook and not validation'

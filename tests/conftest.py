@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.coarse_organs import TEXELS_PER_MM, fill_cache
+from tests.support.once import one_worker, shared_folder
 from vrcaps import _core
 
 _ROOT = str(Path(__file__).parents[1])
@@ -36,11 +37,10 @@ def shared_data() -> Path:
 @pytest.fixture(scope="session")
 def coarse_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Cache folder with coarse organs, the same for all workers."""
-    folder = tmp_path_factory.getbasetemp()
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        folder = folder.parent
-    folder /= "coarse-organs"
-    fill_cache(folder)
+    folder = shared_folder(tmp_path_factory) / "coarse-organs"
+    with one_worker(folder.with_suffix(".lock")):
+        if not folder.exists():
+            fill_cache(folder)
     return folder
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.coarse_organs import ATLAS
+from tests.support.once import made_once
 from tests.support.tubes import textured
 from tests.support.write_ply import write_ply
 from vrcaps.camera_pipeline.effects import Effects
@@ -75,8 +76,14 @@ def mesh_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def organ(mesh_file: Path) -> OrganSurface:
-    """The tube with two segments, a lesion and a textured wall."""
+def organ(mesh_file: Path, tmp_path_factory: pytest.TempPathFactory) -> OrganSurface:
+    """The tube with two segments, a lesion and a textured wall; made once for all folders."""
+    made = made_once(tmp_path_factory, "small-episode", lambda: _organ(mesh_file))
+    return replace(made, metadata={**made.metadata, "source": str(mesh_file)})
+
+
+def _organ(mesh_file: Path) -> OrganSurface:
+    """The organ of a mesh file."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("vrcaps.organ.uv._RESOLUTION", ATLAS)
         plain = read_organ(mesh_file, unit="m")

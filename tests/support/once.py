@@ -1,0 +1,48 @@
+"""Results that test workers share: one worker makes each, the others read it from a file."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
+
+import pytest
+
+from vrcaps.core.processes import try_lock
+
+Made = TypeVar("Made")
+
+
+def shared_folder(factory: pytest.TempPathFactory) -> Path:
+    """Temporary folder of a run, the same for all its workers."""
+    folder = factory.getbasetemp()
+    return folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+
+
+def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[], Made]) -> Made:
+    """Object that `make` returns, from the file `name` if a worker has written it.
+
+    Each call returns a copy.
+    """
+    path = shared_folder(factory) / f"{name}.pickle"
+    with one_worker(path.with_suffix(".lock")):
+        if not path.exists():
+            path.write_bytes(pickle.dumps(make()))
+        return pickle.loads(path.read_bytes())
+
+
+@contextmanager
+def one_worker(lock: Path) -> Iterator[None]:
+    """Block that one process executes at a time."""
+    with lock.open("w") as file:
+        while True:
+            try:
+                try_lock(file.fileno())
+                break
+            except OSError:
+                time.sleep(0.05)
+        yield

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@cache
 def run_command(site: Path, *arguments: str) -> str:
     """Output of a vrcaps command with the package installed."""
     path = os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")])

@@ -35,7 +35,7 @@ vrcaps.record(vrcaps.Scenario("stomach", **{settings!r}), "runs/{name}")
 COHORT = '''
 from pathlib import Path
 Path("plan.toml").write_text("""
-frames = 7
+frames = 5
 channels = ["rgb", "depth"]
 organ = {name = "stomach"}
 [dataset]
@@ -65,7 +65,7 @@ import vrcaps
 model = vrcaps.Model(vrcaps.generate_organ("stomach", seed=0), vrcaps.read_device("mirocam"))
 renderer, camera, step = vrcaps.Renderer(model), "front", vrcaps.Step(0, model.place())
 """,
-    "concepts/learning.md": episode("stomach", frames=12, channels=("rgb", "depth"))
+    "concepts/learning.md": episode("stomach", frames=6, channels=("rgb", "depth"))
     + """
 import numpy as np
 import vrcaps

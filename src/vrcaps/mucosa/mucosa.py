@@ -108,7 +108,7 @@ MUCOSAE: dict[str, Mucosa] = {
         clearcoat=0.7,
     ),
     "small-bowel": Mucosa(
-        base_color=(0.360, 0.206, 0.106),
+        base_color=(0.340, 0.206, 0.103),
         redness_variation=0.32,
         patchiness=0.45,
         patient_variation=(0.35, 0.65),

@@ -178,12 +178,12 @@ class LumenClosure:
         s, theta = self.model.organ.arc_length, self.model.organ.theta
         rng, total = self._rng("folds"), np.zeros(len(s))
         for lobes, least in zip(_MAX_LOBES, (0, 2), strict=True):
-            number = rng.integers(least, lobes + 1, _FOLD_WAVES) * rng.choice([-1, 1], _FOLD_WAVES)
+            lobe = rng.integers(least, lobes + 1, _FOLD_WAVES) * rng.choice([-1, 1], _FOLD_WAVES)
             low, high = np.log(_FOLD_PITCHES)
             turns = np.exp(-rng.uniform(low, high, _FOLD_WAVES))
             phase = rng.uniform(0.0, 2.0 * np.pi, _FOLD_WAVES)
             field = np.zeros(len(s))
-            for n, k, p in zip(number, turns, phase, strict=True):
+            for n, k, p in zip(lobe, turns, phase, strict=True):
                 field += np.sin(k * s + n * theta + p)
             field *= (2.0 / _FOLD_WAVES) ** 0.5
             total += 0.5 * (1.0 - np.exp(-((np.abs(field) / _CREASE) ** 1.6)))

@@ -17,15 +17,23 @@ from vrcaps.core.units import MM
 from vrcaps.lumen.contents import (
     BUBBLE_SEVERITIES,
     CHYME_SEVERITIES,
+    CM2,
     LIQUID_SEVERITIES,
     Bubbles,
     Chyme,
     Contents,
     Liquid,
 )
-from vrcaps.lumen.lumen_contents import populate
+from vrcaps.lumen.lumen_contents import dome_sites, populate
 from vrcaps.lumen.particles import BUBBLE, FIRST_CLUMP, WHITE, Spheres
-from vrcaps.lumen.placement import dome_sites, pack, place_bubbles, place_chyme, sizes, smooth_area
+from vrcaps.lumen.placement import (
+    lifts,
+    pack,
+    place_bubbles,
+    place_chyme,
+    sizes,
+    smooth_area,
+)
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.world.model import Model
 
@@ -85,8 +93,11 @@ def test_all_lie_in_the_lumen(gut: OrganSurface, wall: _core.Wall) -> None:
     for spheres in (bubbles, chyme):
         assert (wall.signed_distance(spheres.centers) > 0.0).all()
     # All but those in the sharp corners of the ends lie at their height over the wall.
-    height = wall.signed_distance(bubbles.centers) / bubbles.radius
-    assert (np.abs(height - 0.85) < 0.15).mean() > 0.99
+    height = wall.signed_distance(bubbles.centers)
+    lift = lifts(BUBBLE_SEVERITIES[3], bubbles.radius)
+    assert (np.abs(height - lift) < 0.15 * bubbles.radius).mean() > 0.99
+    small, large = lift / bubbles.radius, bubbles.radius > 0.9 * MM
+    assert small.max() < 0.851 and (small[large] < 0.55).all() and large.any()
 
 
 def test_bubbles_gather_above_and_chyme_below(gut: OrganSurface, wall: _core.Wall) -> None:
@@ -128,6 +139,26 @@ def test_clusters_touch_and_do_not_overlap(rng: np.random.Generator) -> None:
         np.fill_diagonal(gap, np.inf)
         assert gap.min() > -0.03 * r.max()
         assert (np.abs(gap).min(axis=1) < 1e-9).all()
+
+
+def test_stretched_clusters_are_long(rng: np.random.Generator) -> None:
+    """The second moments of rafts of equal bubbles, along and across."""
+    number, radius = np.full(40, 30), np.full(1200, 0.3 * MM)
+    for stretch, low, high in ((1.0, 0.8, 1.25), (5.0, 2.5, 6.0)):
+        place = pack(number, radius, rng, dimensions=2, touch=0.88, stretch=np.full(40, stretch))
+        width, length = np.sqrt((place[:, :2] ** 2).mean(axis=0))
+        assert low < length / width < high
+
+
+def test_large_bubbles_are_in_rafts(gut: OrganSurface, wall: _core.Wall) -> None:
+    kind = Bubbles(per_area=20.0 / CM2, raft_size=4.0, radius=0.5 * MM, largest=2.0 * MM)
+    spheres = place_bubbles(gut, wall, kind, UP, np.random.default_rng(4))
+    raft, count = np.unique(spheres.arc_length, return_counts=True)
+    members = count[np.searchsorted(raft, spheres.arc_length)]
+    largest = [spheres.radius[members == n].max() for n in (1, 2, 4)]
+    assert spheres.radius[members >= 8].max() == pytest.approx(2.0 * MM)
+    for n, most in zip((1, 2, 4), largest, strict=True):
+        assert most <= 2.0 * MM * np.sqrt(n / 8.0) * (1.0 + 1e-9)
 
 
 def test_sizes_of_clusters(rng: np.random.Generator) -> None:

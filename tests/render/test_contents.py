@@ -21,13 +21,12 @@ from tests.support.shapes import (
 from tests.support.threads import digests_by_threads
 from vrcaps.camera.camera import Led, camera_rays
 from vrcaps.core.units import MM
-from vrcaps.lumen.contents import Bubbles, Contents, Liquid
+from vrcaps.lumen.contents import Contents, Liquid
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.particles import BUBBLE, WHITE, YELLOW, Spheres
 from vrcaps.lumen.pools import Pools
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.renderer import Renderer
-from vrcaps.render.scattering import fresnel
 from vrcaps.render.settings import RenderSettings
 from vrcaps.world.model import State
 
@@ -302,47 +301,6 @@ def test_a_bubble_at_the_eye(organ: OrganSurface, ball: tuple[float, ...]) -> No
     expected = (way * rays[..., 2])[known]
     np.testing.assert_allclose(frame.foreground_depth[known], expected, rtol=1e-4)
     assert np.isfinite(frame.radiance).all()
-
-
-def test_a_bubble_mirrors_the_wall_at_twice_the_angle(organ: OrganSurface) -> None:
-    """Light added by the surroundings' color, compared with the fraction mirrored by each pixel.
-
-    A shell met at angle θ turns a ray by π − 2θ; the middle mirrors what no LED lights.
-    """
-    base = make_camera("pinhole")
-    led = Led((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (2e-3, 2e-3, 2e-3), 1.0)
-    camera = replace(base, leds=(led,))
-    rays = camera_rays(camera).astype(float)
-    distance, radius = 6.0 * MM, 1.5 * MM
-    center = np.array([0.0, 0.0, distance])
-    state = looking((0.0, 0.0, 0.0))
-    T = state.T_world_capsule @ camera.T_capsule_camera
-    renderer = Renderer(make_model(organ, camera), DIRECT)
-    bubbles = Bubbles(gleam=0.0, stain=(0.0, 0.0, 0.0))
-
-    def radiance(color: float) -> np.ndarray:
-        ball = balls(T[:3, :3] @ center + T[:3, 3], radius, BUBBLE)
-        ball = replace(ball, color=np.full((1, 3), color))
-        contents = LumenContents(Contents(bubbles, 1, 1), ball, None)
-        placed = replace(state, lumen_contents=contents)
-        return renderer.render(placed, camera, channels=("radiance",)).radiance.astype(float)
-
-    added = (radiance(0.5) - radiance(0.0))[..., 0]
-    miss = (np.linalg.norm(np.cross(rays, center), axis=-1) / radius) ** 2
-    inner = miss < 0.9
-    assert inner.sum() > 100 and (miss < 0.02).any()
-    forward = 2.0 * miss[inner] - 1.0
-    aside = np.sqrt(1.0 - forward**2)
-    room = 10.0 * MM
-    along = distance + np.where(forward < 0.0, room / aside, room) * forward
-    across = np.where(forward < 0.0, room, room * aside)
-    square = along**2 + across**2
-    lit = np.maximum(along, 0.0) / np.sqrt(square) / np.maximum(square, distance**2)
-    surface = fresnel(np.sqrt(1.0 - miss[inner]), bubbles.ior)
-    film = 2.0 * surface / (1.0 + surface)
-    expected = 0.5 / np.pi * 2e-3 * lit * film * (2.0 - film)
-    np.testing.assert_allclose(added[inner], expected, rtol=2e-3, atol=1e-3 * expected.max())
-    assert added[miss < 0.1].max() < 1e-3 * added.max()
 
 
 def test_nothing_in_front_without_contents(organ: OrganSurface) -> None:

@@ -2,6 +2,7 @@
 
 mod capsule;
 pub mod clump;
+pub mod crossings;
 mod drag;
 mod particle;
 mod particle_contact;

@@ -1,5 +1,6 @@
 //! Spheres of many sizes and their hierarchy, through which bubbles and particles are traced.
 
+use crate::lumen::clump::phases;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::bvh::{Child, MAX_PER_LEAF, Node, WIDTH};
@@ -41,7 +42,7 @@ pub struct Sphere {
     pub instance: u16,
     /// Distance beyond which the sphere has no effect [m]: in a clump larger than its radius.
     pub reach: f32,
-    /// Phases of the bumps of a particle.
+    /// Phases of the bumps of a particle or of the ripple of a bubble.
     pub phases: Vec3,
 }
 
@@ -69,7 +70,7 @@ impl SphereArrays<'_> {
                 number: k as u32,
                 instance: instance[k],
                 reach: radius[k] as f32,
-                phases: [0.0; 3],
+                phases: phases(k as u32),
             })
             .collect();
         let valid = |s: &Sphere| s.center.iter().all(|x| x.is_finite()) && s.radius > 0.0;
@@ -243,48 +244,11 @@ impl Spheres {
     }
 }
 
-/// Distances at which the rays of a tile enter and leave a sphere [m]; −1 for rays that miss it.
-pub struct Crossings {
-    /// First crossing; negative if the origin is inside or beyond.
-    pub near: Lane,
-    /// Second crossing.
-    pub far: Lane,
-    /// Squared distance of the ray from the center over the squared radius; above 1 if it misses.
-    pub miss: Lane,
-}
-
 impl Sphere {
     /// True if it shares its surface with no other sphere.
     #[inline(always)]
     pub fn is_alone(&self) -> bool {
         self.reach == self.radius
-    }
-
-    /// Crossings of unit rays from one origin.
-    #[inline(always)]
-    pub fn crossings(&self, origin: Vec3, directions: &Lane3) -> Crossings {
-        self.crossings_from(|_| origin, directions)
-    }
-
-    /// Crossings of unit rays with individual origins.
-    #[inline(always)]
-    pub fn crossings_from(&self, start: impl Fn(usize) -> Vec3, directions: &Lane3) -> Crossings {
-        let (square, inverse) = (self.radius * self.radius, 1.0 / (self.radius * self.radius));
-        let mut out = Crossings { near: [0.0; LANES], far: [0.0; LANES], miss: [0.0; LANES] };
-        for i in 0..LANES {
-            let direction = at(directions, i);
-            let offset = sub(self.center, start(i));
-            let along = dot(offset, direction);
-            // The foot of the perpendicular: exact also for a small sphere far away.
-            let foot = sub(offset, scale(direction, along));
-            let apart = dot(foot, foot);
-            let half = max(square - apart, 0.0).sqrt();
-            let hit = apart < square;
-            out.near[i] = if hit { along - half } else { -1.0 };
-            out.far[i] = if hit { along + half } else { -1.0 };
-            out.miss[i] = apart * inverse;
-        }
-        out
     }
 }
 

@@ -153,9 +153,10 @@ impl TileRenderer for LumenTiles<'_> {
         let mut front = Foreground::of_liquid(wet.as_ref());
         let reach = first_segment(wet.as_ref(), hits);
         for near in &bubbles {
+            // The first crossing of bubbles that overlap is that of a sphere.
             let sphere = &self.contents.bubbles.all[near.index as usize];
-            let crossings = sphere.crossings(view.origin, &rays.directions);
-            front.add_bubble(sphere.instance, [&crossings.near, &crossings.far], &reach);
+            let [first, second, _] = sphere.ends(&|_| view.origin, &rays.directions);
+            front.add_bubble(sphere.instance, [&first, &second], &reach);
         }
         front.write(tile, place, out);
         let kind = wet.as_ref().map_or([STRAIGHT; LANES], |wet| wet.turn.kind);

@@ -39,44 +39,45 @@ class Bubbles:
         landing_rate: Rate at which bubbles settle on a round end that they touch [1/s].
         release_rate: Rate at which bubbles there detach in liquid [1/s].
         ior: Refractive index of the film (water: 1.333).
-        border: Width of the thick rim where the film curves away, as a fraction of the radius.
-        gleam: Fraction of light from the surroundings that the rim scatters towards the viewer.
-        stain: Absorption of the rim for red, green and blue.
+        border: Width of the bright rim of a bubble in liquid, as a fraction of the radius: beyond
+            1/n of the radius, light from liquid is totally reflected.
+        gleam: Fraction of light from the surroundings that the rim reflects.
+        stain: Density of absorption in the rim for red, green and blue; bile absorbs blue.
+        meniscus: Radius up to which bubbles lie wholly in liquid [m]. Larger ones, of radius R,
+            emerge; their rim narrows and their shade fades by ``√(meniscus/R)``.
+        shade: Fraction of its light that the wall below a bubble in liquid loses. The bubble is a
+            diverging lens of focal length 1.5 R: 0.59 on its axis, 0.85 R below its center, if
+            tissue does not spread the light.
+        ripple: Root mean square slope of its deviations from a sphere, which displace, magnify and
+            dim the mirror images of the LEDs.
         roughness: Roughness α of the film in the specular reflection of an LED.
-        color: Linear color of the surroundings reflected by the film.
+        color: Linear color of the surroundings reflected by the film, with the wall behind.
     """
 
-    per_area: float = 0.8 / CM2
-    prevalence: float = 1.0
-    raft_size: float = 6.0
+    per_area: Annotated[float, Range(min=0.0)] = 0.8 / CM2
+    prevalence: Annotated[float, Range(0.0, 1.0)] = 1.0
+    raft_size: Annotated[float, Range(min=1.0, below=1e3)] = 6.0
     radius: float = 0.5 * MM
-    spread: float = 0.8
+    spread: Annotated[float, Range(min=0.0)] = 0.65
     smallest: float = 0.05 * MM
-    largest: float = 5.0 * MM
-    rising: float = 0.4
-    burst_rate: float = 0.02
-    on_dome: int = 0
-    landing_rate: float = 2.0
-    release_rate: float = 0.05
-    ior: float = 1.333
-    border: float = 0.08
-    gleam: float = 0.3
-    stain: tuple[float, float, float] = (0.9, 1.3, 2.0)
-    roughness: float = 0.03
+    largest: float = 1.5 * MM
+    rising: Annotated[float, Range(0.0, 1.0)] = 0.4
+    burst_rate: Annotated[float, Range(min=0.0)] = 0.02
+    on_dome: Annotated[int, Range(0, 1000)] = 0
+    landing_rate: Annotated[float, Range(min=0.0)] = 2.0
+    release_rate: Annotated[float, Range(min=0.0)] = 0.05
+    ior: Annotated[float, Range(above=1.0, below=3.0)] = 1.333
+    border: Annotated[float, Range(above=0.0, below=1.0)] = 0.25
+    gleam: Annotated[float, Range(0.0, 1.0)] = 0.95
+    stain: tuple[float, float, float] = (0.0, 0.08, 0.3)
+    meniscus: Annotated[float, Range(above=0.0, unit="m")] = 0.35 * MM
+    shade: Annotated[float, Range(0.0, 1.0)] = 0.55
+    ripple: Annotated[float, Range(0.0, 0.5)] = 0.3
+    roughness: Annotated[float, Range(above=0.0, max=1.0)] = 0.005
     color: tuple[float, float, float] = (0.5, 0.34, 0.2)
 
     def __post_init__(self) -> None:
-        for name in ("per_area", "spread", "burst_rate", "landing_rate", "release_rate"):
-            value = getattr(self, name)
-            require(0.0 <= value < math.inf, f"Bubbles' {name}", value, "0 or more")
-        for name in ("prevalence", "rising", "gleam"):
-            value = getattr(self, name)
-            require(0.0 <= value <= 1.0, f"Bubbles' {name}", value, "0 to 1")
-        require(1.0 <= self.raft_size < 1e3, "Bubbles' raft_size", self.raft_size, "1 to 1000")
-        require(0 <= self.on_dome <= 1000, "Bubbles' on_dome", self.on_dome, "0 to 1000")
-        require(1.0 < self.ior < 3.0, "Bubbles' ior", self.ior, "above 1 to 3")
-        require(0.0 < self.border < 1.0, "Bubbles' border", self.border, "above 0 to below 1")
-        require(0.0 < self.roughness <= 1.0, "Bubbles' roughness", self.roughness, "above 0 to 1")
+        check_fields(self, of="Bubbles")
         require_sizes("Bubbles'", self.smallest, self.radius, self.largest)
 
 

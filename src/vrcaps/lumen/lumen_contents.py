@@ -13,7 +13,7 @@ from vrcaps.core.rng import stream
 from vrcaps.core.units import MM
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.particles import Spheres, joined
-from vrcaps.lumen.placement import dome_sites, place_bubbles, place_chyme, place_dome_bubbles
+from vrcaps.lumen.placement import place_bubbles, place_chyme, place_dome_bubbles
 from vrcaps.lumen.pools import Pools, cut_sections, find_pools
 from vrcaps.organ.surface import OrganSurface
 
@@ -22,6 +22,11 @@ if TYPE_CHECKING:
 
 _LIFE = 20.0 * MM
 """Distance that the capsule travels before a bubble on its dome is replaced [m]."""
+
+_WIDEST = np.deg2rad(45.0)
+"""Maximum angle of a site from the capsule's axis."""
+_TRIES = 12
+"""Random positions tried for each bubble on the capsule."""
 
 CHYME = "chyme"
 """Class name of the particles; its label follows those of the organ."""
@@ -110,6 +115,38 @@ class LumenContents:
         if centers is None:
             return self
         return LumenContents(self.contents, spheres.at(centers), self.pools)
+
+
+def dome_sites(
+    radius: Float[np.ndarray, " n"],
+    length: float,
+    capsule_radius: float,
+    rng: np.random.Generator,
+) -> Float[np.ndarray, "n 3"]:
+    """Positions of bubbles that touch a capsule's round ends, alternating front and rear.
+
+    Positions are uniform over each end; of a few tries, the one with the most clearance is taken.
+
+    Args:
+        radius: Radii of the bubbles [m].
+        length: Overall length of the capsule [m].
+        capsule_radius: Radius of the capsule [m].
+        rng: Random generator.
+
+    Returns:
+        Positions in the capsule frame, relative to its center [m].
+    """
+    positions = np.zeros((len(radius), 3))
+    half = length / 2.0 - capsule_radius
+    for k, own in enumerate(radius):
+        cosine = rng.uniform(np.cos(_WIDEST), 1.0, _TRIES)
+        sine, turn = np.sqrt(1.0 - cosine**2), rng.uniform(0.0, 2.0 * np.pi, _TRIES)
+        normal = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=1)
+        tried = (capsule_radius + own) * normal + np.array([0.0, 0.0, half])
+        tried *= np.array([1.0, 1.0, -1.0 if k % 2 else 1.0])
+        apart = np.linalg.norm(tried[:, None] - positions[:k], axis=-1) - radius[:k] - own
+        positions[k] = tried[np.argmax(apart.min(axis=1, initial=np.inf))]
+    return positions
 
 
 def wall_anchors(

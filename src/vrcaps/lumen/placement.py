@@ -24,14 +24,24 @@ if TYPE_CHECKING:
 _SPACING = 2.0 * MM
 _PATCH = 40.0 * MM
 """Correlation length along the gut of the presence of bubbles or particles [m]."""
-LIFT_BUBBLE = 0.85
-"""Height of a bubble's center above the wall it clings to, as a fraction of its radius."""
+_LIFT_BUBBLE, _EMERGED = 0.85, 0.35
+"""Height of a bubble's center above the wall it clings to, as a fraction of its radius: of a bubble
+in liquid and of a large one. A film meets a wet wall at a right angle (Plateau), which makes a
+hemisphere of a bubble that has emerged from the liquid."""
+_TOUCH = 0.88
+"""Distance between neighbors in a raft as a fraction of the sum of their radii; they share a flat
+wall."""
+_LONGEST = 5.0
+"""Maximum of the length of a raft, along a crease, over its width."""
+_MANY = 8.0
+"""Bubbles in a raft from which on they may have any size; the maximum radius in smaller rafts is in
+proportion to the root of their number, because large bubbles form where small ones coalesce."""
 _LIFT_CHYME = 0.4
 _BOUND = 0.45
 """Distance between neighbors in a clump of chyme as a fraction of the sum of their radii."""
 _SCATTER = 0.7
 """Random deviation of directions from up or down, relative to the unit direction."""
-_MAX_ON_DOME = 1.0 * MM
+_MAX_ON_DOME = 0.6 * MM
 """Maximum radius of a bubble on the capsule [m]; the wall wipes larger ones off. The flow of the
 image takes a bubble whose near side is within 1 mm of the shell to move with the capsule."""
 _TRIES = 12
@@ -59,6 +69,12 @@ def sizes(total: int, mean: float, rng: np.random.Generator) -> Int[np.ndarray, 
     return counts
 
 
+def lifts(bubbles: Bubbles, radius: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Heights of the centers of bubbles above the wall they cling to [m], by their radii [m]."""
+    sunk = np.minimum(bubbles.meniscus / radius, 1.0)
+    return radius * (_EMERGED + (_LIFT_BUBBLE - _EMERGED) * sunk)
+
+
 def pack(
     counts: Int[np.ndarray, " k"],
     radius: Float[np.ndarray, " n"],
@@ -66,6 +82,7 @@ def pack(
     *,
     dimensions: int,
     touch: float,
+    stretch: Float[np.ndarray, " k"] | float = 1.0,
 ) -> Float[np.ndarray, "n 3"]:
     """Place spheres side by side in clusters; each touches an earlier sphere of its cluster.
 
@@ -78,12 +95,14 @@ def pack(
         rng: Random generator.
         dimensions: 2 for rafts in the plane z = 0, 3 for clumps on it.
         touch: Distance between neighbors as a fraction of the sum of their radii.
+        stretch: Length of each cluster along its second axis over its width.
 
     Returns:
         Positions relative to the first sphere of each cluster [m].
     """
     positions = np.zeros((len(radius), 3))
     first = np.concatenate([[0], np.cumsum(counts)])[:-1].astype(int)
+    stretches = np.broadcast_to(np.asarray(stretch, float), counts.shape)
     for member in range(1, int(counts.max(initial=0))):
         start = first[counts > member]
         shape = (len(start), _TRIES)
@@ -98,7 +117,9 @@ def pack(
         apart = np.linalg.norm(tried[:, :, None] - positions[others][:, None], axis=-1)
         gap = apart - touch * (radius[others][:, None] + own[:, None, None])
         least = gap.min(axis=-1)
-        far = np.linalg.norm(tried, axis=-1)
+        narrow = tried.copy()
+        narrow[..., 1] /= stretches[counts > member, None]
+        far = np.linalg.norm(narrow, axis=-1)
         is_free = least > -0.02 * own[:, None]
         best = np.argmax(np.where(is_free, 1.0 - far, least - 10.0), axis=1)
         positions[start + member] = tried[np.arange(len(start)), best]
@@ -145,9 +166,11 @@ def place_bubbles(
     if rafts.total == 0:
         return no_spheres()
     rafts.settle(up, bubbles.rising, creases=_CREASES)
-    radius = rafts.radii(bubbles)
-    positions = rafts.spread(radius, dimensions=2, touch=1.0)
-    centers = _on_wall(organ, wall, positions, LIFT_BUBBLE * radius)
+    few = np.sqrt(np.minimum(rafts.counts / _MANY, 1.0))[rafts.owner]
+    radius = np.minimum(rafts.radii(bubbles), np.maximum(few * bubbles.largest, bubbles.radius))
+    stretch = _LONGEST ** rng.random(len(rafts.counts))
+    positions = rafts.spread(radius, dimensions=2, touch=_TOUCH, stretch=stretch)
+    centers = _on_wall(organ, wall, positions, lifts(bubbles, radius))
     instance = 1 + np.arange(len(radius)) % 65535
     return Spheres(
         centers=centers,
@@ -242,14 +265,14 @@ class _Seeds:
                 for new, old in zip(tried, best, strict=True)
             )
         assert best is not None
-        _, self.anchor, self.inward, self.lumen_radius, self.arc_length = best
+        _, self.anchor, self.inward, self.lumen_radius, self.arc_length, self.tangent = best
 
     def _cast(self, towards: Float[np.ndarray, " 3"], fraction: float) -> tuple[np.ndarray, ...]:
         """Draw places on the wall.
 
         Returns:
             Distance from the centerline relative to the lumen's radius, places, inward directions,
-            radii of the lumen, and arc lengths.
+            radii of the lumen, arc lengths, and directions along the gut.
         """
         from vrcaps.organ.surface import interpolate
 
@@ -259,7 +282,7 @@ class _Seeds:
         drawn = self.rng.random(count) < fraction
         direction = np.where(drawn[:, None], _SCATTER * direction + 2.0 * towards, direction)
         tangent = frames[..., 2]
-        direction -= np.sum(direction * tangent, axis=1, keepdims=True) * tangent
+        direction -= _along(direction, tangent)
         direction = unit(direction)
         distance, face = self.wall.cast(points, direction)
         distance = np.where(face >= 0, distance, 0.0)
@@ -272,6 +295,7 @@ class _Seeds:
             inward,
             lumen_radius,
             self.arc_length,
+            tangent,
         )
 
     def radii(self, kind: Bubbles | Chyme) -> Float[np.ndarray, " n"]:
@@ -280,17 +304,37 @@ class _Seeds:
         return np.minimum(cut_log_normal(kind, self.total, self.rng), lumen_radius)
 
     def spread(
-        self, radius: Float[np.ndarray, " n"], *, dimensions: int, touch: float
+        self,
+        radius: Float[np.ndarray, " n"],
+        *,
+        dimensions: int,
+        touch: float,
+        stretch: Float[np.ndarray, " k"] | float = 1.0,
     ) -> Float[np.ndarray, "n 3"]:
-        """Positions of all spheres around their anchors [m], slightly off the wall."""
-        flat = pack(self.counts, radius, self.rng, dimensions=dimensions, touch=touch)
+        """Positions of all spheres around their anchors [m], slightly off the wall.
+
+        The second axis of a cluster, along which it may be stretched, is around the gut, as folds
+        are.
+        """
+        flat = pack(
+            self.counts, radius, self.rng, dimensions=dimensions, touch=touch, stretch=stretch
+        )
+        first = self.tangent - _along(self.tangent, self.inward)
         least = np.eye(3)[np.argmin(np.abs(self.inward), axis=1)]
-        first = np.cross(self.inward, least)
+        is_end = np.linalg.norm(first, axis=1, keepdims=True) < 0.1
+        first = np.where(is_end, np.cross(self.inward, least), first)
         first /= np.linalg.norm(first, axis=1, keepdims=True)
         axes = np.stack([first, np.cross(self.inward, first), self.inward], axis=-1)[self.owner]
         lift = np.minimum(radius, 0.5 * self.lumen_radius[self.owner])
         start = self.anchor[self.owner] + lift[:, None] * self.inward[self.owner]
         return start + np.einsum("nij,nj->ni", axes, flat)
+
+
+def _along(
+    vectors: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Parts of vectors along unit directions."""
+    return np.sum(vectors * directions, axis=1, keepdims=True) * directions
 
 
 def _inward(organ: OrganSurface, face: np.ndarray) -> Float[np.ndarray, "n 3"]:
@@ -304,10 +348,6 @@ def _on_wall(
     """Points of the wall nearest to given positions, lifted into the lumen [m]."""
     nearest, face = wall.closest_point(positions)
     return nearest + height[:, None] * _inward(organ, face)
-
-
-_WIDEST = np.deg2rad(45.0)
-"""Maximum angle of a site from the capsule's axis."""
 
 
 def place_dome_bubbles(
@@ -324,7 +364,7 @@ def place_dome_bubbles(
     count = 2 * bubbles.on_dome
     radius = np.minimum(cut_log_normal(bubbles, count, rng), _MAX_ON_DOME)
     vertex = rng.integers(0, len(organ.vertices), count)
-    lift = (LIFT_BUBBLE * radius)[:, None] * organ.normals[vertex]
+    lift = lifts(bubbles, radius)[:, None] * organ.normals[vertex]
     return Spheres(
         centers=organ.vertices[vertex] + lift,
         radius=radius,
@@ -333,35 +373,3 @@ def place_dome_bubbles(
         color=np.tile(bubbles.color, (count, 1)),
         arc_length=organ.arc_length[vertex],
     )
-
-
-def dome_sites(
-    radius: Float[np.ndarray, " n"],
-    length: float,
-    capsule_radius: float,
-    rng: np.random.Generator,
-) -> Float[np.ndarray, "n 3"]:
-    """Positions of bubbles that touch a capsule's round ends, alternating front and rear.
-
-    Positions are uniform over each end; of a few tries, the one with the most clearance is taken.
-
-    Args:
-        radius: Radii of the bubbles [m].
-        length: Overall length of the capsule [m].
-        capsule_radius: Radius of the capsule [m].
-        rng: Random generator.
-
-    Returns:
-        Positions in the capsule frame, relative to its center [m].
-    """
-    positions = np.zeros((len(radius), 3))
-    half = length / 2.0 - capsule_radius
-    for k, own in enumerate(radius):
-        cosine = rng.uniform(np.cos(_WIDEST), 1.0, _TRIES)
-        sine, turn = np.sqrt(1.0 - cosine**2), rng.uniform(0.0, 2.0 * np.pi, _TRIES)
-        normal = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=1)
-        tried = (capsule_radius + own) * normal + np.array([0.0, 0.0, half])
-        tried *= np.array([1.0, 1.0, -1.0 if k % 2 else 1.0])
-        apart = np.linalg.norm(tried[:, None] - positions[:k], axis=-1) - radius[:k] - own
-        positions[k] = tried[np.argmax(apart.min(axis=1, initial=np.inf))]
-    return positions

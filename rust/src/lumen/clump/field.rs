@@ -15,14 +15,14 @@ const BUMP: f32 = 0.28;
 /// Directions of the waves whose mean forms the bumps, times their periods per reach.
 const WAVES: [Vec3; 3] = [[0.94, 0.47, -0.46], [-0.44, 1.08, 0.41], [0.39, -0.41, 1.29]];
 
-/// Phases of the bumps of a particle, by its index.
+/// Phases of the bumps of a particle or of the ripple of a bubble, by its index.
 pub fn phases(number: u32) -> Vec3 {
     [0, 1, 2].map(|k| uniform(0x57_00_11, number, k))
 }
 
 /// A smoothed triangle wave, with period 1 and values from −1 to 1, and its slope.
 #[inline(always)]
-fn wave(x: f32) -> (f32, f32) {
+pub fn wave(x: f32) -> (f32, f32) {
     // Adding 1.5 · 2²³ rounds to an integer.
     let u = x - ((x + 12_582_912.0) - 12_582_912.0);
     (8.0 * u * (1.0 - 2.0 * u.abs()), 8.0 * (1.0 - 4.0 * u.abs()))

@@ -14,12 +14,13 @@ use super::spheres::{Near, Sphere, Spheres};
 use crate::simd::f32x64::*;
 use crate::wall::packet::{MISS, Pyramid, farthest_of};
 use crate::wall::visibility;
-use field::{REACH, phases};
+use field::REACH;
 use nearby::Clump;
 use rayon::prelude::*;
 use rays::reached;
 use std::ops::Range;
 
+pub use field::{phases, wave};
 pub use rays::{Beams, Met};
 
 /// Number of rays that are marched together; more would wait for the slowest of them.
@@ -35,7 +36,6 @@ impl Spheres {
         for sphere in &mut all {
             let is_alone = count[usize::from(sphere.instance)] == 1;
             sphere.reach = if is_alone { 1.0 } else { REACH } * sphere.radius;
-            sphere.phases = phases(sphere.number);
         }
         Self::build(all)
     }

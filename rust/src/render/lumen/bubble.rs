@@ -4,8 +4,16 @@
 //! the rest. The fractions are Fresnel's for a film much thicker than the coherence length, so that
 //! its two surfaces add incoherently; a film does not refract rays. Each LED has two mirror images:
 //! one in the front of the shell, a convex mirror, and one in its back, a concave mirror.
+//!
+//! A bubble up to the size of the meniscus lies wholly in liquid. Light that meets it from there at
+//! an angle beyond arcsin(1/n) is totally reflected (Davis, J. Opt. Soc. Am. 45, 1955; Marston,
+//! ibid. 69, 1979), hence its bright rim from 1/n = 0.75 of its radius to its outline, which shows
+//! the wall around it. The rest acts as a diverging lens, below which the wall gets less light.
 
-use crate::lumen::spheres::{Crossings, Sphere};
+use super::rim::Rim;
+use crate::lumen::clump::wave;
+use crate::lumen::crossings::Crossings;
+use crate::lumen::spheres::Sphere;
 use crate::render::led::Led;
 use crate::render::material::fresnel;
 use crate::simd::f32x64::*;
@@ -17,12 +25,18 @@ use std::f32::consts::{LOG2_E, PI};
 pub struct Film {
     /// Refractive index of the liquid.
     pub ior: f32,
-    /// Width of the thick border around a bubble's outline, as a fraction of its radius.
+    /// Width of the rim of a bubble in liquid, as a fraction of its radius.
     pub border: f32,
-    /// Fraction of light that the border scatters from the surroundings towards the viewer.
+    /// Fraction of light that the rim reflects.
     pub gleam: f32,
-    /// Absorption of the border at maximum thickness, for red, green and blue.
+    /// Density of absorption in the rim for red, green and blue.
     pub stain: Vec3,
+    /// Radius up to which a bubble lies wholly in liquid [m].
+    pub meniscus: f32,
+    /// Fraction of its light that the wall below a bubble in liquid loses.
+    pub shade: f32,
+    /// Root mean square slope of the deviations from a sphere.
+    pub ripple: f32,
     /// Roughness α of the shell in the mirror image of an LED.
     pub roughness: f32,
 }
@@ -62,99 +76,196 @@ impl Film {
         let distance = dot(offset, offset).sqrt();
         // Half a pixel, as a fraction of the radius.
         let blur = 0.5 * eye.pixel_angle * distance / sphere.radius;
-        let shell = self.shell(crossings, blur);
-        let around = surroundings(sphere, leds, distance, crossings, behind.distance);
+        let normals = normals(sphere, &crossings.near, eye);
+        let shell = self.shell(sphere, (crossings, &normals), behind.distance, blur);
+        let around = surroundings(sphere, leds, distance, crossings, behind);
+        let stain = self.stain.map(|stain| 1.0 - exp2(-LOG2_E * stain));
         for front in [false, true] {
             let distances = if front { &crossings.near } else { &crossings.far };
+            let seen: [bool; LANES] = std::array::from_fn(|i| {
+                let is_drawn = front | !crossings.shared[1][i];
+                is_drawn & (distances[i] > 0.0) & (distances[i] < behind.distance[i])
+            });
+            if !seen.contains(&true) {
+                continue;
+            }
             for i in 0..LANES {
-                let seen = (distances[i] > 0.0) & (distances[i] < behind.distance[i]);
+                let rim = if front { shell.rim[i] } else { 0.0 };
+                let film = shell.film[usize::from(!front)][i];
+                let mirrored = film + (1.0 - film) * rim;
+                let through = (1.0 - mirrored) * if front { shell.shade[i] } else { 1.0 };
                 for k in 0..3 {
-                    let through = if seen { shell.through[k][i] } else { 1.0 };
-                    let mirrored = if seen { shell.mirrored[i] } else { 0.0 };
                     let old = behind.radiance[k][i];
-                    behind.radiance[k][i] = old * through + around[k][i] * mirrored;
+                    let new = (1.0 - stain[k] * rim) * (old * through + around[k][i] * mirrored);
+                    behind.radiance[k][i] = if seen[i] { new } else { old };
                 }
             }
-            for led in leds {
-                self.add_image(sphere, distances, eye, led, (blur, front), behind);
-            }
+            let shared = &crossings.shared[usize::from(!front)];
+            let mirrors = std::array::from_fn(|i| seen[i] & !shared[i]);
+            self.add_images(sphere, (distances, &mirrors), eye, leds, (blur, front), behind);
         }
     }
 
     /// Fraction of light that one crossing of the shell transmits, given the squared distance of
     /// the ray from the center over the squared radius.
     pub fn passes(&self, miss: f32) -> f32 {
-        let surface = fresnel(max(1.0 - miss, 0.0).sqrt(), self.ior);
-        1.0 - 2.0 * surface / (1.0 + surface)
+        1.0 - self.film(max(1.0 - miss, 0.0).sqrt())
     }
 
-    /// Transmission and reflection of one crossing of the shell.
+    /// Reflection and shade of the shell.
     #[inline(always)]
-    fn shell(&self, crossings: &Crossings, blur: f32) -> Shell {
-        let mut shell = Shell { through: [[0.0; LANES]; 3], mirrored: [0.0; LANES] };
-        let width = max(0.5 * self.border, blur);
-        let peak = 0.5 * self.border / width;
+    fn shell(
+        &self,
+        sphere: &Sphere,
+        (crossings, normals): (&Crossings, &Lane3),
+        behind: &Lane,
+        blur: f32,
+    ) -> Shell {
+        let zero = [0.0; LANES];
+        let mut shell = Shell { film: [zero; 2], rim: zero, shade: [1.0; LANES] };
+        let (inverse, least) = (1.0 / sphere.radius, min(blur, 1.0));
+        let rim = Rim::new(self, self.sunk(sphere), blur);
         for i in 0..LANES {
-            let miss = min(crossings.miss[i], 1.0);
             // A pixel at the outline covers a range of angles, at least its own width.
-            let cosine = (max(1.0 - miss, min(blur, 1.0))).sqrt();
-            let surface = fresnel(cosine, self.ior);
-            let film = 2.0 * surface / (1.0 + surface);
-            let from_border = (miss.sqrt() - 1.0 + 0.6 * self.border) / width;
-            let border = peak * exp2(-LOG2_E * from_border * from_border);
-            let inner = (miss.sqrt() - 1.0 + 1.8 * self.border) / (1.4 * width);
-            let depth = peak * exp2(-LOG2_E * inner * inner);
-            shell.mirrored[i] = film + (1.0 - film) * self.gleam * border;
-            for k in 0..3 {
-                let stain = exp2(-LOG2_E * self.stain[k] * depth);
-                shell.through[k][i] = (1.0 - shell.mirrored[i]) * stain;
+            shell.film[1][i] = self.film(max(1.0 - crossings.miss[i], least).sqrt());
+            // Where the bubble meets the wall it has an edge as well; a ray meets the wall aslant.
+            let height = (behind[i] - crossings.near[i]) * inverse;
+            let edge = min(crossings.edge[i], max(2.0 * height, 0.0));
+            let waves = [0, 1].map(|k| wave(dot(at(normals, i), RIPPLES[k]) + sphere.phases[k]).0);
+            let (rim, shade) = rim.at(edge, waves);
+            shell.rim[i] = if crossings.shared[0][i] { 0.0 } else { rim };
+            shell.shade[i] = if crossings.shared[0][i] { 1.0 } else { shade };
+        }
+        shell.film[0] = shell.film[1];
+        if crossings.shared[0].contains(&true) {
+            for i in 0..LANES {
+                shell.film[0][i] = self.film(max(crossings.cosine[i], least.sqrt()));
             }
         }
         shell
     }
 
-    /// Adds the mirror image of an LED: a Gaussian lobe of normals about the mirroring normal, wide
-    /// enough that every pixel near it samples it, with the same energy.
+    /// Fraction of light that the film reflects.
     #[inline(always)]
-    fn add_image(
+    fn film(&self, cosine: f32) -> f32 {
+        let surface = fresnel(cosine, self.ior);
+        2.0 * surface / (1.0 + surface)
+    }
+
+    /// Part of a bubble that lies in liquid: 1 up to the size of the meniscus, above which it emerges.
+    #[inline(always)]
+    fn sunk(&self, sphere: &Sphere) -> f32 {
+        min((self.meniscus / sphere.radius).sqrt(), 1.0)
+    }
+
+    /// Adds the mirror images of the LEDs: Gaussian lobes of normals about the mirroring normals,
+    /// wide enough that every pixel near them samples them, with the same energy.
+    #[inline(always)]
+    fn add_images(
         &self,
         sphere: &Sphere,
-        distances: &Lane,
+        (distances, seen): (&Lane, &[bool; LANES]),
         eye: &Eye<'_>,
-        led: &Led,
+        leds: &[Led],
         (blur, front): (f32, bool),
         behind: &mut Behind<'_>,
     ) {
+        let mut found: Option<Lane3> = None;
+        for led in leds {
+            let Some(image) = self.image(sphere, eye, led, (blur, front)) else { continue };
+            let normals = found.get_or_insert_with(|| normals(sphere, distances, eye));
+            for i in 0..LANES {
+                let apart = sub(at(normals, i), image.normal);
+                let light = image.peak * exp2(-image.steepness * dot(apart, apart));
+                let light = if seen[i] { light } else { 0.0 };
+                for k in 0..3 {
+                    behind.radiance[k][i] += led.intensity[k] * light;
+                }
+            }
+        }
+    }
+
+    /// Mirror image of an LED; none if no ray of the tile comes near it.
+    #[inline(always)]
+    fn image(
+        &self,
+        sphere: &Sphere,
+        eye: &Eye<'_>,
+        led: &Led,
+        (blur, front): (f32, bool),
+    ) -> Option<Image> {
         let (mirror, light, view) = mirror_place(sphere, eye.origin, led, front);
+        let (normal, magnification) = self.rippled(sphere, mirror);
         let half = if front { mirror } else { scale(mirror, -1.0) };
         let offset = sub(led.position, sphere.center);
         let square = max(dot(offset, offset), sphere.radius * sphere.radius);
         let cosine = max(dot(half, view), 0.05);
         let axis = clamp(-dot(light, led.direction), 0.0, 1.0);
         // The variance of a uniform disc is half its squared radius, that of a Gaussian its own.
-        let disc = 0.5 * led.half_vectors(square, axis, cosine);
+        let disc = 0.5 * led.half_vectors(square, axis, cosine) * magnification;
         let spread = self.roughness * self.roughness + blur * blur + disc;
-        let surface = fresnel(cosine, self.ior);
-        let lobe = led_lobe(led, light);
-        let peak = 2.0 * surface / (1.0 + surface) * lobe / (4.0 * PI * spread * cosine * square);
-        let inverse = 1.0 / sphere.radius;
-        let steepness = LOG2_E / spread;
-        let place = add(offset_of(sphere, eye), scale(mirror, sphere.radius));
+        let place = add(offset_of(sphere, eye), scale(normal, sphere.radius));
         let reach = -FADED * spread.sqrt() * sphere.radius;
         if eye.rays.closed && eye.rays.sides.iter().any(|side| dot(*side, place) < reach) {
-            return;
+            return None;
         }
+        // In liquid, only the surface of the gas reflects.
+        let (film, sunk) = (self.film(cosine), self.sunk(sphere));
+        let reflected = film + (fresnel(cosine, self.ior) - film) * sunk;
+        let energy = reflected * led.lobe(axis) * magnification;
+        let peak = energy / (4.0 * PI * spread * cosine * square);
+        Some(Image { normal, peak, steepness: LOG2_E / spread })
+    }
+
+    /// Place of a mirror image in a rippled sphere with the radius 1 + η(n) in the direction n, and
+    /// the area of the image relative to that in the sphere.
+    ///
+    /// Its normal is n − ∇η, to first order, so the normal h is found at h + ∇η and the area of
+    /// the image changes by the determinant of that map, 1 + ∇²η.
+    #[inline(always)]
+    fn rippled(&self, sphere: &Sphere, mirror: Vec3) -> (Vec3, f32) {
+        let amplitude = self.ripple / SLOPE;
+        let (mut slope, mut curvature) = ([0.0; 3], 0.0);
+        for (k, way) in RIPPLES.iter().enumerate() {
+            let along = dot(mirror, *way);
+            let (value, rise) = wave(along + sphere.phases[k]);
+            let across = dot(*way, *way) - along * along;
+            slope = add(slope, scale(*way, amplitude * rise));
+            curvature -= amplitude * (32.0 * across * value.signum() + 2.0 * along * rise);
+        }
+        let aside = sub(slope, scale(mirror, dot(slope, mirror)));
+        (normalize(add(mirror, aside)), max(1.0 + curvature, 0.05))
+    }
+}
+
+/// Directions of the waves of the ripple, times their periods per radius.
+const RIPPLES: [Vec3; 3] = [[0.47, 0.23, -0.23], [-0.22, 0.54, 0.2], [0.2, -0.2, 0.64]];
+
+/// Root mean square slope of the ripple at unit amplitude.
+const SLOPE: f32 = 4.12;
+
+/// Outward unit normals of a sphere at distances along the rays.
+#[inline(always)]
+fn normals(sphere: &Sphere, distances: &Lane, eye: &Eye<'_>) -> Lane3 {
+    let inverse = 1.0 / sphere.radius;
+    let mut normals = [[0.0; LANES]; 3];
+    for k in 0..3 {
         for i in 0..LANES {
-            let seen = (distances[i] > 0.0) & (distances[i] < behind.distance[i]);
-            let offset = scale(at(&eye.rays.directions, i), distances[i]);
-            let point = add(at(eye.starts, i), offset);
-            let apart = sub(scale(sub(point, sphere.center), inverse), mirror);
-            let image = if seen { peak * exp2(-steepness * dot(apart, apart)) } else { 0.0 };
-            for k in 0..3 {
-                behind.radiance[k][i] += led.intensity[k] * image;
-            }
+            let along = distances[i] * eye.rays.directions[k][i];
+            normals[k][i] = (eye.starts[k][i] + along - sphere.center[k]) * inverse;
         }
     }
+    normals
+}
+
+/// Mirror image of an LED.
+struct Image {
+    /// Direction of its place from the center.
+    normal: Vec3,
+    /// Radiance at its place for an LED of unit intensity [1/m²].
+    peak: f32,
+    /// Inverse of the variance of its lobe, times log₂ e.
+    steepness: f32,
 }
 
 /// Mirror image of an LED in a shell: unit directions of the mirroring point from the center, and
@@ -186,34 +297,30 @@ fn offset_of(sphere: &Sphere, eye: &Eye<'_>) -> Vec3 {
     sub(sphere.center, eye.origin)
 }
 
-/// One crossing of a shell.
+/// Reflection and shade of a shell.
 struct Shell {
-    through: Lane3,
-    mirrored: Lane,
+    /// Fraction of light that the film reflects at the first and at the second crossing.
+    film: [Lane; 2],
+    /// Fraction of the rest that the rim reflects.
+    rim: Lane,
+    /// Relative radiance of the wall below.
+    shade: Lane,
 }
 
-/// Fraction of an LED's intensity in the direction that its light travels, `-light`.
-#[inline(always)]
-fn led_lobe(led: &Led, light: Vec3) -> f32 {
-    lobe(led, clamp(-dot(light, led.direction), 0.0, 1.0))
-}
+/// Minimum radiance of the surface behind relative to that of a wall that faces the LEDs.
+const LEAST: f32 = 0.12;
 
-/// Fraction of an LED's intensity at a cosine of the angle to its axis.
-#[inline(always)]
-fn lobe(led: &Led, cosine: f32) -> f32 {
-    if led.exponent == 0.0 {
-        1.0
-    } else if led.exponent == 1.0 {
-        cosine
-    } else {
-        pow(cosine, led.exponent)
-    }
-}
+/// Weight of the bubble's color in the hue of its reflections.
+const OWN_HUE: f32 = 0.3;
 
 /// Maximum distance from a bubble to the wall that it mirrors [m]: that of a bubble on the lens.
 const MOST_ROOM: f32 = 0.01;
 
-/// Radiance of the wall that a bubble mirrors: diffuse, of its color, facing the LEDs.
+/// Radiance of the wall that a bubble mirrors.
+///
+/// It is the mean of that of a diffuse wall of the bubble's color that faces the LEDs, and of their
+/// geometric mean with the surface behind, which an outline mirrors; the latter is counted as at
+/// least `LEAST` of the former. The hue is that of the surface behind, mixed with the bubble's.
 ///
 /// A shell that is hit at angle θ turns a ray by π − 2θ, so its middle mirrors the region behind
 /// the camera, which the LEDs do not light, and its outline the region in front. The wall is taken
@@ -226,11 +333,12 @@ fn surroundings(
     leds: &[Led],
     distance: f32,
     crossings: &Crossings,
-    behind: &Lane,
+    behind: &Behind<'_>,
 ) -> Lane3 {
     let mut radiance = [[0.0; LANES]; 3];
     for i in 0..LANES {
-        let room = clamp(behind[i] - distance, sphere.radius, max(MOST_ROOM, sphere.radius));
+        let room =
+            clamp(behind.distance[i] - distance, sphere.radius, max(MOST_ROOM, sphere.radius));
         let forward = 2.0 * min(crossings.miss[i], 1.0) - 1.0;
         let aside = max(1.0 - forward * forward, 1e-6).sqrt();
         let reach = if forward < 0.0 { room / aside } else { room };
@@ -239,10 +347,17 @@ fn surroundings(
         let cosine = max(along, 0.0) / square.sqrt();
         let nearness = 1.0 / (PI * max(square, distance * distance));
         for led in leds {
-            let lit = lobe(led, cosine) * nearness;
+            let lit = led.lobe(cosine) * nearness;
             for k in 0..3 {
                 radiance[k][i] += sphere.color[k] * led.intensity[k] * lit;
             }
+        }
+        let (light, hue) = (at(&radiance, i), at(behind.radiance, i));
+        let (own, seen) = (light[0] + light[1] + light[2], hue[0] + hue[1] + hue[2]);
+        let mean = 0.5 * (own + (own * max(seen, LEAST * own)).sqrt());
+        let per_hue = mean / max(seen + OWN_HUE * own, 1e-30);
+        for k in 0..3 {
+            radiance[k][i] = (hue[k] + OWN_HUE * light[k]) * per_hue;
         }
     }
     radiance

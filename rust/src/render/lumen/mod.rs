@@ -7,6 +7,7 @@ pub mod liquid;
 pub mod particle_surfaces;
 pub mod path_segment;
 pub mod refraction;
+pub mod rim;
 
 use crate::lumen::spheres::{BUBBLE, SphereArrays, Spheres};
 use crate::pool::detached;
@@ -23,6 +24,9 @@ struct FilmParameters {
     border: f32,
     gleam: f32,
     stain: Vec3,
+    meniscus: f32,
+    shade: f32,
+    ripple: f32,
     roughness: f32,
 }
 
@@ -82,6 +86,9 @@ impl Contents {
             border: film.border,
             gleam: film.gleam,
             stain: film.stain,
+            meniscus: film.meniscus,
+            shade: film.shade,
+            ripple: film.ripple,
             roughness: film.roughness,
         };
         let (bubbles, chyme) = (Spheres::build(bubbles), Spheres::bound(chyme));

@@ -58,8 +58,9 @@ impl PathSegment<'_> {
         };
         for near in bubbles.near {
             let sphere = &bubbles.spheres.all[near.index as usize];
-            let mut crossings =
-                sphere.crossings_from(|i| at(self.starts, i), &self.rays.directions);
+            let (start, directions) = (|i| at(self.starts, i), &self.rays.directions);
+            let met = bubbles.spheres.bubble_crossings(near.index, bubbles.near, start, directions);
+            let Some(mut crossings) = met else { continue };
             let mut covered = [false; LANES];
             for i in 0..LANES {
                 let inside = |distance: f32| {

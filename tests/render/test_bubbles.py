@@ -88,8 +88,8 @@ def test_a_bubble_mirrors_the_wall_at_twice_the_angle() -> None:
     own = (0.5 / np.pi * INTENSITY * lit)[:, None] * np.ones(3)
     wall = scene.empty()[inner]
     total, behind = own.sum(axis=1), wall.sum(axis=1)
-    mean = 0.5 * (total + np.sqrt(total * np.maximum(behind, 0.12 * total)))
-    around = mean[:, None] * (wall + 0.3 * own) / (behind + 0.3 * total)[:, None]
+    mean = 0.3 * total + 0.7 * np.sqrt(total * np.maximum(behind, 0.12 * total))
+    around = mean[:, None] * (wall + 0.08 * own) / (behind + 0.08 * total)[:, None]
     reflected = film(np.sqrt(1.0 - miss[inner]))
     expected = around * (reflected * (2.0 - reflected))[:, None]
     added = lit_ - dark

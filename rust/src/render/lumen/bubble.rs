@@ -275,7 +275,7 @@ fn mirror_place(sphere: &Sphere, eye: Vec3, led: &Led, front: bool) -> (Vec3, Ve
     let sign = if front { 1.0 } else { -1.0 };
     let mut place = sphere.center;
     let (mut mirror, mut light, mut view) = ([0.0; 3], [0.0; 3], [0.0; 3]);
-    for _ in 0..MIRROR_STEPS {
+    for _ in 0..mirror_steps(sphere, eye, led) {
         light = normalize(sub(led.position, place));
         view = normalize(sub(eye, place));
         mirror = scale(normalize(add(light, view)), sign);
@@ -285,8 +285,20 @@ fn mirror_place(sphere: &Sphere, eye: Vec3, led: &Led, front: bool) -> (Vec3, Ve
 }
 
 /// Number of iterations towards the mirroring point; each reduces the error by the ratio of the
-/// radius to the distance of LED and camera.
-const MIRROR_STEPS: usize = 4;
+/// radius to the distance of LED and camera. It is below 1 % of the radius for ratios up to 0.3.
+#[inline(always)]
+fn mirror_steps(sphere: &Sphere, eye: Vec3, led: &Led) -> usize {
+    let offsets = [eye, led.position].map(|from| sub(from, sphere.center));
+    let square = min(dot(offsets[0], offsets[0]), dot(offsets[1], offsets[1]));
+    let ratio = sphere.radius * sphere.radius / square;
+    if ratio < 0.01 {
+        2
+    } else if ratio < 0.04 {
+        3
+    } else {
+        4
+    }
+}
 
 /// Standard deviations beyond which a mirror image is invisible.
 const FADED: f32 = 3.5;
@@ -310,17 +322,21 @@ struct Shell {
 /// Minimum radiance of the surface behind relative to that of a wall that faces the LEDs.
 const LEAST: f32 = 0.12;
 
+/// Weight of a wall that faces the LEDs in the radiance of reflections.
+const OWN_PART: f32 = 0.3;
+
 /// Weight of the bubble's color in the hue of its reflections.
-const OWN_HUE: f32 = 0.3;
+const OWN_HUE: f32 = 0.08;
 
 /// Maximum distance from a bubble to the wall that it mirrors [m]: that of a bubble on the lens.
 const MOST_ROOM: f32 = 0.01;
 
 /// Radiance of the wall that a bubble mirrors.
 ///
-/// It is the mean of that of a diffuse wall of the bubble's color that faces the LEDs, and of their
-/// geometric mean with the surface behind, which an outline mirrors; the latter is counted as at
-/// least `LEAST` of the former. The hue is that of the surface behind, mixed with the bubble's.
+/// It is the mean of that of a diffuse wall of the bubble's color that faces the LEDs, weighted by
+/// `OWN_PART`, and of their geometric mean with the surface behind, which an outline mirrors; the
+/// latter is counted as at least `LEAST` of the former. The hue is that of the surface behind, mixed
+/// with the bubble's.
 ///
 /// A shell that is hit at angle θ turns a ray by π − 2θ, so its middle mirrors the region behind
 /// the camera, which the LEDs do not light, and its outline the region in front. The wall is taken
@@ -354,7 +370,7 @@ fn surroundings(
         }
         let (light, hue) = (at(&radiance, i), at(behind.radiance, i));
         let (own, seen) = (light[0] + light[1] + light[2], hue[0] + hue[1] + hue[2]);
-        let mean = 0.5 * (own + (own * max(seen, LEAST * own)).sqrt());
+        let mean = OWN_PART * own + (1.0 - OWN_PART) * (own * max(seen, LEAST * own)).sqrt();
         let per_hue = mean / max(seen + OWN_HUE * own, 1e-30);
         for k in 0..3 {
             radiance[k][i] = (hue[k] + OWN_HUE * light[k]) * per_hue;

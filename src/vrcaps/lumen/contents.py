@@ -69,7 +69,7 @@ class Bubbles:
     ior: Annotated[float, Range(above=1.0, below=3.0)] = 1.333
     border: Annotated[float, Range(above=0.0, below=1.0)] = 0.25
     gleam: Annotated[float, Range(0.0, 1.0)] = 0.95
-    stain: tuple[float, float, float] = (0.0, 0.08, 0.3)
+    stain: tuple[float, float, float] = (0.0, 0.03, 0.1)
     meniscus: Annotated[float, Range(above=0.0, unit="m")] = 0.35 * MM
     shade: Annotated[float, Range(0.0, 1.0)] = 0.55
     ripple: Annotated[float, Range(0.0, 0.5)] = 0.3

@@ -9,14 +9,23 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
-from vrcaps.core.color import linear_from_srgb, srgb_from_linear  # noqa: E402
+from vrcaps.core.color import linear_from_srgb, luminance, srgb_from_linear  # noqa: E402
 from vrcaps.core.errors import InputError  # noqa: E402
 from vrcaps.formats.io import read_format  # noqa: E402
+from vrcaps.learn.augment import (  # noqa: E402
+    WALL as MUCOSA,
+)
+from vrcaps.learn.augment import (  # noqa: E402
+    Film,
+    fluid_film,
+    hemorrhage,
+    illumination_of,
+    photographed,
+)
 from vrcaps.learn.compositing import (  # noqa: E402
     CompositeSettings,
     LesionPatch,
     composite,
-    fluid_patch,
     lesion_pairs,
     placed,
     quotient,
@@ -159,12 +168,97 @@ def test_a_moved_patch_carries_its_mask(seed):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_blood_is_marked_where_it_absorbs_half_of_the_green_light(seed):
-    blood = fluid_patch(SIDE, SIDE, np.random.default_rng(seed))
+    draw = np.random.default_rng(seed)
+    blood = fluid_film(view(seed=seed), draw)
+    assert np.array_equal(blood.mask, np.exp(-blood.density[..., 1]) < np.exp(-0.7))
     assert 0.0 < blood.mask.mean() <= 1.0
-    assert blood.ratio[blood.mask][:, 1].max() < 0.6
-    assert (blood.ratio[..., 0] >= blood.ratio[..., 1]).all()
-    for other in ("bile", "shadow"):
-        assert not fluid_patch(SIDE, SIDE, np.random.default_rng(seed), other).mask.any()
+    assert (blood.density[..., 1] >= blood.density[..., 0]).all()
+    assert blood.body[0] > max(blood.body[1], blood.body[2])
+    for other in ("bile", "shadow", "murky"):
+        assert not fluid_film(view(seed=seed), draw, other).mask.any()
+
+
+def test_blood_differs_in_extent_and_thickness_from_veils_to_pools():
+    films = [fluid_film(view(seed=k), np.random.default_rng(k)) for k in range(60)]
+    areas = np.array([film.mask.mean() for film in films])
+    thickest = np.array([film.density[..., 1].max() for film in films])
+    assert (areas < 0.05).mean() > 0.1
+    assert (areas > 0.3).mean() > 0.1
+    assert thickest.min() < 1.0
+    assert thickest.max() > 4.0
+
+
+def test_fluid_pools_in_the_dark():
+    """A third of the films follow the dark half of the image; the others ignore it."""
+    image = view(color=np.array([220, 150, 130], np.uint8))
+    image[: SIDE // 2] //= 4
+    films = [fluid_film(image, np.random.default_rng(k)) for k in range(150)]
+    above = np.array([film.density[: SIDE // 2].sum() for film in films])
+    below = np.array([film.density[SIDE // 2 :].sum() for film in films])
+    assert (above > below).mean() > 0.55
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_hemorrhagic_mucosa_is_red_with_spots_in_a_region(seed):
+    image = view(color=np.array([200, 140, 120], np.uint8))
+    film = hemorrhage(image, np.random.default_rng(seed))
+    made = film.over(linear_from_srgb(image), illumination_of(image, 0.0))
+    shown = film.mask & (image[..., 0] > 0)
+    outside = ~film.mask & (image[..., 0] > 0)
+    assert 0.02 < film.mask.mean() <= 1.0
+    assert (made[shown, 1] / made[shown, 0]).mean() < 0.9 * (140 / 200) ** 2.2
+    assert film.density[shown, 1].std() > 0.1
+    assert film.density[outside, 1].max(initial=0.0) < film.density[shown, 1].max()
+
+
+def test_a_thick_film_has_its_own_color_and_a_thin_one_that_of_the_wall():
+    shape = (4, 6, 3)
+    light, white = np.full(shape, 0.3), np.full(shape, 0.5)
+    film = Film(np.array([0.08, 0.01, 0.01]), np.zeros(shape), np.zeros(shape[:2], bool))
+    assert film.over(light, white) == pytest.approx(light)
+    thick = replace(film, density=np.full(shape, 50.0))
+    assert thick.over(light, white) == pytest.approx(np.broadcast_to(0.5 * film.body, shape))
+    half = replace(film, density=np.full(shape, np.log(2.0)))
+    assert half.over(light, white) == pytest.approx(0.5 * light + 0.25 * film.body)
+
+
+def test_fresh_blood_is_brighter_than_dark_fluid_behind_it():
+    """A quotient could only darken it."""
+    shape = (4, 6, 3)
+    nothing = np.zeros(shape[:2], bool)
+    white = np.full(shape, 1.0)
+    dark = Film(np.array([0.02, 0.02, 0.03]), np.full(shape, 50.0), nothing)
+    blood = Film(np.array([0.15, 0.01, 0.01]), np.full(shape, 50.0), nothing)
+    behind = dark.over(np.full(shape, 0.4), white)
+    assert (blood.over(behind, white)[..., 0] > 5.0 * behind[..., 0]).all()
+
+
+def test_illumination_is_the_image_over_the_wall_without_texture():
+    plain, mottled = view(), view(seed=1)
+    level, rough = illumination_of(plain, 1.0), illumination_of(mottled, 1.0)
+    center = slice(20, 44), slice(20, 44)
+    expected = luminance(linear_from_srgb(WALL)) / luminance(MUCOSA)
+    assert level[center] == pytest.approx(expected, rel=0.02)
+    deviation = luminance(linear_from_srgb(mottled))[center].std()
+    assert luminance(rough)[center].std() * luminance(MUCOSA) < 0.5 * deviation
+    cast = illumination_of(view(color=np.array([90, 90, 150], np.uint8)), 0.0)[32, 32]
+    assert cast[2] > 3.0 * cast[0]
+    assert np.isfinite(illumination_of(np.zeros((8, 8, 3), np.uint8), 0.5)).all()
+
+
+def test_a_camera_changes_the_picture_but_not_its_surroundings():
+    image = view(seed=2)
+    light = 0.2 * linear_from_srgb(image)
+    made = [photographed(light, image, np.random.default_rng(k)) for k in range(40)]
+    outside = image.max(axis=-1) == 0
+    assert all(np.array_equal(one[outside], image[outside]) for one in made)
+    means = np.array([linear_from_srgb(one).mean() for one in made])
+    assert means.min() < 0.5 * linear_from_srgb(image).mean()
+    assert means.max() > linear_from_srgb(image).mean()
+    sharp = np.array([np.abs(np.diff(one[30].astype(float), axis=0)).mean() for one in made])
+    assert sharp.min() < 0.3 * np.median(sharp)
+    black = np.zeros((8, 8, 3), np.uint8)
+    assert np.array_equal(photographed(light[:8, :8], black, np.random.default_rng(0)), black)
 
 
 def test_a_folder_of_composites_is_data_for_both_tasks(tmp_path):

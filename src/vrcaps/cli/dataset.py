@@ -246,8 +246,8 @@ class Composite:
     """Composite rendered lesions into real images without lesions, with exact masks.
 
     The change of the rendered wall by a lesion, from a recording and its clean twin, is applied to
-    random images, which keep their light. Others show blood in fluid, nothing, bile or shadow. The
-    plan has the channels radiance and instance, and clean_twin = { each = [false, true] }.
+    random images, which keep their light. Others show films of blood or no lesion; half of all show
+    other fluids. The plan needs radiance, instance and clean_twin = { each = [false, true] }.
 
     For example:
       vrcaps dataset composite runs/pairs --into photos/normal --out runs/composites
@@ -267,10 +267,10 @@ class Composite:
     """Number of images."""
 
     normal: float = 0.4
-    """Fraction of images without a lesion; half of them with bile or shadow."""
+    """Fraction of images without a lesion."""
 
     fluid: float = 0.4
-    """Fraction of the images with a lesion that show blood in fluid."""
+    """Fraction of the images with a lesion that show films of blood or hemorrhagic mucosa."""
 
     seed: int = 0
     """Random seed."""

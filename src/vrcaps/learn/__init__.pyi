@@ -1,4 +1,7 @@
 from .augment import Augmentation as Augmentation
+from .augment import Film as Film
+from .augment import fluid_film as fluid_film
+from .augment import illumination_of as illumination_of
 from .checkpoint import TrainedNetwork as TrainedNetwork
 from .checkpoint import read_weights as read_weights
 from .checkpoint import write_onnx as write_onnx
@@ -6,7 +9,6 @@ from .checkpoint import write_weights as write_weights
 from .compositing import CompositeSettings as CompositeSettings
 from .compositing import LesionPatch as LesionPatch
 from .compositing import composite as composite
-from .compositing import fluid_patch as fluid_patch
 from .compositing import lesion_pairs as lesion_pairs
 from .compositing import rendered_patch as rendered_patch
 from .compositing import write_composites as write_composites

@@ -6,9 +6,9 @@ neither the light nor the wall of the renderer (the quotient image of Shashua an
 TPAMI 23, 2001). A real image is multiplied by it in linear light, so the lesion has the light, the
 color cast and the exposure of that image.
 
-Blood dissolved in fluid has no outline on the wall. `fluid_patch` draws it as a film of random
-thickness with the transmittance of blood; bile and shadow are drawn likewise, for images without a
-lesion.
+Blood dissolved in fluid has no outline on the wall. It is drawn as a `Film` of random form with the
+transmittance of blood, in front of the wall or of other fluids, which images without a lesion show
+as well.
 """
 
 from __future__ import annotations
@@ -18,26 +18,32 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import scipy
 
 from vrcaps.core import rng
-from vrcaps.core.color import linear_from_srgb, luminance, srgb_from_linear
+from vrcaps.core.color import linear_from_srgb, srgb_from_linear
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.files import atomic_folder
 from vrcaps.core.geometry import smoothstep
-from vrcaps.core.units import MM
+from vrcaps.learn.augment import (
+    WALL,
+    Film,
+    Fluid,
+    fluid_film,
+    hemorrhage,
+    illumination_of,
+    photographed,
+)
 from vrcaps.learn.picture_border import tissue_of
-from vrcaps.lesion.focal import BLOOD_EXTINCTION, FRESH, OLD
 from vrcaps.recording.frame_files import write_images
 from vrcaps.recording.frame_sequence import NORMAL, FrameSequence, lesion_instances
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, UInt8
 
-Fluid = Literal["blood", "bile", "shadow"]
 Pair: TypeAlias = tuple[FrameSequence, FrameSequence]
 """A recording with lesions and its clean twin."""
 _RATIOS = (1.0 / 64.0, 2.0)
@@ -47,24 +53,15 @@ _DARKEST = 1e-3
 of 1."""
 _FEATHER = 0.012
 """Width of the transition within a mask, relative to the longer side of the image."""
-_WALL = np.array([0.52, 0.29, 0.19])
-"""Linear reflectance of the mucosa below a film of fluid: mean of the recorded small bowel."""
-_BILE = np.array([0.30, 0.26, 0.03]), np.array([0.3, 0.6, 6.0]) / MM
-"""Reflectance of a thick layer and two-way optical density per length of bile; fitted visually."""
-_SHADOW = np.array([0.02, 0.012, 0.008]), np.array([1.5, 2.0, 2.4]) / MM
-"""The same of an unlit hollow, as if light were absorbed; fitted visually."""
-_VISIBLE = 0.7
-"""Optical density in green from which a film of blood belongs to the mask: half the light."""
-_THICKNESS = (0.15 * MM, 1.2 * MM)
-"""Range of the maximum thickness of a film of fluid [m]."""
-_AREA = (0.02, 1.0)
-"""Range of the fraction of an image that fluid covers."""
 _SCALE = (0.75, 2.2)
 """Range of the magnification of a rendered view relative to the real image."""
+_OTHER, _IN_FRONT, _HEMORRHAGE = 0.5, 0.2, 0.25
+"""Fraction of images with bile, shadow or murky fluid behind the lesion; of those with a lesion
+that have it in front; and of the films of blood that are hemorrhagic mucosa."""
+_HIDING = 1.0
+"""Optical density in green of a fluid that hides the blood behind it."""
 _QUALITY = (80, 95)
 """Range of the JPEG quality of written images."""
-_MAX_GAIN = 3.0
-"""Maximum gain by which automatic exposure compensates darker images."""
 _DRAWS = 8
 """Draws of a position of a lesion until it lies in the tissue."""
 
@@ -83,7 +80,7 @@ class LesionPatch:
     ratio: Float[np.ndarray, "h w 3"]
     mask: Bool[np.ndarray, "h w"]
     kind: str
-    wall: Float[np.ndarray, " 3"] = field(default_factory=lambda: _WALL)
+    wall: Float[np.ndarray, " 3"] = field(default_factory=lambda: WALL)
 
 
 @dataclass(frozen=True)
@@ -92,9 +89,10 @@ class CompositeSettings:
 
     Attributes:
         count: Number of images.
-        normal: Fraction of images without a lesion; half of them with bile or shadow.
-        fluid: Fraction of the images with a lesion that show blood in fluid instead of a rendered
-            lesion, and a fourth of which show both.
+        normal: Fraction of images without a lesion. Half of all images have bile, shadow or murky
+            fluid.
+        fluid: Fraction of the images with a lesion that show films of blood or hemorrhagic mucosa
+            instead of a rendered lesion, and a fourth of which show both.
         min_fraction: Minimum fraction of the image that a lesion covers.
         seed: Random seed.
     """
@@ -174,46 +172,6 @@ def quotient(
     is_known = np.isfinite(with_lesion) & np.isfinite(without) & (without > level)
     ratio = np.divide(with_lesion, without, out=np.ones_like(without), where=is_known)
     return np.clip(ratio, *_RATIOS)
-
-
-def fluid_patch(
-    height: int, width: int, draw: np.random.Generator, fluid: Fluid = "blood"
-) -> LesionPatch:
-    """Return a film of fluid of random shape, thickness and age.
-
-    Light passes the film twice: the reflectance of the wall w becomes b + (w − b) exp(−t e), where
-    b is the reflectance of a thick layer, t the thickness and e its optical density per length
-    (as `under_blood`). The mask is where blood absorbs half of the green light; empty for others.
-    """
-    thickness = _film(height, width, draw)
-    if fluid == "blood":
-        body, extinction = FRESH + (OLD - FRESH) * draw.uniform() ** 2, BLOOD_EXTINCTION
-    else:
-        body, extinction = _BILE if fluid == "bile" else _SHADOW
-    dense = thickness[..., None] * extinction
-    body = body / _WALL * draw.uniform(0.7, 1.6)
-    ratio = np.clip(body + (1.0 - body) * np.exp(-dense), *_RATIOS)
-    mask = (dense[..., 1] > _VISIBLE) & (fluid == "blood")
-    return LesionPatch(ratio, mask, "bleeding")
-
-
-def _film(height: int, width: int, draw: np.random.Generator) -> Float[np.ndarray, "h w"]:
-    """Thickness of a film of random shape [m]: clouds, or streaks along level lines."""
-    side = max(height, width)
-
-    def noise(scale: float) -> Float[np.ndarray, "h w"]:
-        values = scipy.ndimage.gaussian_filter(draw.normal(size=(height, width)), scale * side)
-        return values / max(float(values.std()), 1e-12)
-
-    shape = noise(draw.uniform(0.08, 0.25)) + 0.12 * noise(0.04)
-    if draw.uniform() < 0.3:
-        shape = -np.abs(shape) + 0.4 * noise(0.12)
-    area = float(np.exp(draw.uniform(*np.log(_AREA))))
-    level = float(np.quantile(shape, 1.0 - area)) if area < 0.95 else float(shape.min()) - 0.5
-    soft = float(np.exp(draw.uniform(np.log(0.1), np.log(1.5))))
-    maximum = float(np.exp(draw.uniform(*np.log(_THICKNESS))))
-    within = smoothstep((shape - level) / soft)
-    return maximum * within * np.clip(1.0 + 0.25 * noise(0.05), 0.2, 2.0)
 
 
 def composite(
@@ -327,8 +285,8 @@ def write_composites(
             draw = rng.stream(settings.seed, "learn/composite", index)
             sequence, frame = frames[int(draw.integers(len(frames)))]
             image = sequence.image("rgb", frame)
-            made, mask, kind = _drawn(image, views, settings, draw)
-            made = _exposed(made, image, draw)
+            light, mask, kind = _drawn(image, views, settings, draw)
+            made = photographed(light, image, draw)
             _write(partial, f"{index:06d}", made, mask, kind, int(draw.integers(*_QUALITY)))
             counts[kind] += 1
             progress(index + 1, settings.count)
@@ -340,44 +298,51 @@ def _drawn(
     views: Sequence[tuple[FrameSequence, FrameSequence, int]],
     settings: CompositeSettings,
     draw: np.random.Generator,
-) -> tuple[UInt8[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"], str]:
-    """One image with a lesion or without, its mask and its kind."""
-    height, width = image.shape[:2]
-    nothing = np.zeros((height, width), bool)
-    if draw.uniform() < settings.normal:
-        if draw.uniform() < 0.5:
-            fluid: Fluid = "bile" if draw.uniform() < 0.5 else "shadow"
-            ratio = fluid_patch(height, width, draw, fluid).ratio
-            image = _changed(image, ratio, tissue_of(image))
-        return image, nothing, NORMAL
-    way = draw.uniform()
-    made, mask, kind = image, nothing, NORMAL
-    for _ in range(_DRAWS):
-        patches = []
-        if way >= settings.fluid or way < 0.25 * settings.fluid:
-            patch = rendered_patch(*views[int(draw.integers(len(views)))])
-            patches = [] if patch is None else [placed(patch, height, width, draw)]
-        if way < settings.fluid:
-            patches.append(fluid_patch(height, width, draw))
-        made, mask = image, nothing
-        for patch in patches:
-            made, added = composite(made, patch, hue=float(np.sqrt(draw.uniform())))
-            mask, kind = mask | added, patch.kind
-        if mask.mean() >= settings.min_fraction:
-            return made, mask, kind
-    return image, nothing, NORMAL
+) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"], str]:
+    """Linear light of one image with a lesion or without, its mask and its kind."""
+    hue = float(np.sqrt(draw.uniform()))
+    illumination = illumination_of(image, hue)
+    light = linear_from_srgb(image)
+    if draw.uniform() < _OTHER:
+        light = _other_fluid(image, draw).over(light, illumination)
+    if draw.uniform() >= settings.normal:
+        tissue = tissue_of(image)
+        for _ in range(_DRAWS):
+            made, mask, kind = light, np.zeros(image.shape[:2], bool), "bleeding"
+            way = draw.uniform()
+            if way >= settings.fluid or way < 0.25 * settings.fluid:
+                patch = rendered_patch(*views[int(draw.integers(len(views)))])
+                if patch is not None:
+                    made, mask = _with_patch(made, patch, hue, draw)
+                    kind = patch.kind
+            if way < settings.fluid:
+                for _ in range(2 if draw.uniform() < 0.3 else 1):
+                    is_spotted = draw.uniform() < _HEMORRHAGE
+                    film = hemorrhage(image, draw) if is_spotted else fluid_film(image, draw)
+                    made, mask = film.over(made, illumination), mask | film.mask
+            if draw.uniform() < _IN_FRONT:
+                front = _other_fluid(image, draw)
+                made = front.over(made, illumination)
+                mask = mask & (front.density[..., 1] < _HIDING)
+            mask = mask & tissue
+            if mask.mean() >= settings.min_fraction:
+                return made, mask, kind
+    return light, np.zeros(image.shape[:2], bool), NORMAL
 
 
-def _exposed(
-    image: UInt8[np.ndarray, "h w 3"],
-    before: UInt8[np.ndarray, "h w 3"],
-    draw: np.random.Generator,
-) -> UInt8[np.ndarray, "h w 3"]:
-    """Image with a random part of the gain by which automatic exposure restores the mean light."""
-    light, old = linear_from_srgb(image), linear_from_srgb(before)
-    full = luminance(old).mean() / max(float(luminance(light).mean()), 1e-6)
-    gain = float(np.clip(full, 1.0, _MAX_GAIN)) ** draw.uniform()
-    return image if gain == 1.0 else srgb_from_linear(gain * light)
+def _with_patch(
+    light: Float[np.ndarray, "h w 3"], patch: LesionPatch, hue: float, draw: np.random.Generator
+) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
+    """Linear light with a lesion in a random position, and its mask."""
+    moved = placed(patch, light.shape[0], light.shape[1], draw)
+    changed, mask = composite(srgb_from_linear(light), moved, hue=hue)
+    return np.where(mask[..., None], linear_from_srgb(changed), light), mask
+
+
+def _other_fluid(image: UInt8[np.ndarray, "h w 3"], draw: np.random.Generator) -> Film:
+    """Film of bile, shadow or murky fluid."""
+    fluids: tuple[Fluid, ...] = ("bile", "shadow", "murky")
+    return fluid_film(image, draw, fluids[int(draw.integers(len(fluids)))])
 
 
 def _write(

@@ -171,23 +171,26 @@ def segmentation_part(real: RealImages, weights: Sequence[str]) -> str:
         for name, masks in estimates.items()
     }
     marked = {name: np.array([m.any() for m in masks]) for name, masks in estimates.items()}
+    apart = bleeds & ~np.isin(groups, real.groups[train])
     rows = [
         [
             name,
             _mean(scores[name], bleeds, groups),
             _mean(scores[name] - scores["redness"], bleeds, groups),
+            _mean(scores[name] - scores["redness"], apart, groups),
             _mean(marked[name], bleeds, groups),
             _mean(marked[name], ~bleeds, groups),
         ]
         for name in estimates
     ]
-    head = ["", "Dice", "Dice − redness", "bleeding marked", "normal marked"]
+    head = ["", "Dice", "Dice − redness", "the same, apart", "bleeding marked", "normal marked"]
     text = (
         f"{bleeds.sum()} validation images with bleeding and {(~bleeds).sum()} without, of "
         f"{len(np.unique(groups))} groups; 95 % intervals over groups. Disc and redness are fitted "
         "to these images; the last row is fitted to the training images with their masks, of which "
-        "consecutive frames are among the validation images. *Marked* is the fraction of images "
-        "with any pixel in the mask. No network has seen a real lesion."
+        "consecutive frames are among the validation images. *Apart* are the "
+        f"{apart.sum()} images of groups without such a training image. *Marked* is the fraction "
+        "of images with any pixel in the mask. No network has seen a real lesion."
     )
     return f"### Segmentation of bleeding\n\n{table(head, rows)}\n\n{text}"
 

@@ -10,7 +10,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
 from vrcaps.core.color import linear_from_srgb, luminance, srgb_from_linear  # noqa: E402
-from vrcaps.core.errors import InputError  # noqa: E402
+from vrcaps.core.errors import InputError, UnknownNameError  # noqa: E402
 from vrcaps.formats.io import read_format  # noqa: E402
 from vrcaps.learn.augment import (  # noqa: E402
     WALL as MUCOSA,
@@ -135,6 +135,13 @@ def test_an_opaque_lesion_keeps_its_hue_on_a_wall_of_another_color():
     rendered = opaque.wall * ratio[32, 36]
     assert own[1] / own[2] == pytest.approx(rendered[1] / rendered[2], rel=0.25)
     assert with_cast[1] / with_cast[2] > 2.0 * own[1] / own[2]
+
+
+def test_a_patch_of_a_black_view_has_no_hue():
+    black = replace(patch(), wall=np.zeros(3))
+    gray = replace(patch(), wall=np.ones(3))
+    images = [composite(view(), one, hue=1.0)[0] for one in (black, gray)]
+    assert np.array_equal(images[0], images[1])
 
 
 def test_a_quotient_has_neither_light_nor_wall_of_the_renderer():
@@ -301,6 +308,13 @@ def test_unsuitable_data_are_refused(tmp_path):
         lesion_pairs([recording(False), twin])
     with pytest.raises(InputError, match="size of the patch"):
         composite(view(32), patch())
+    for hue in (-0.1, 2.0, np.nan):
+        with pytest.raises(InputError, match=r"hue is .*Allowed: 0 to 1"):
+            composite(view(), patch(), hue=hue)
+        with pytest.raises(InputError, match=r"hue is .*Allowed: 0 to 1"):
+            illumination_of(view(), hue)
+    with pytest.raises(UnknownNameError, match="No fluid named 'wine'"):
+        fluid_film(view(), np.random.default_rng(0), "wine")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="count"):
         CompositeSettings(0)
     with pytest.raises(InputError, match="0 views and 4 images"):

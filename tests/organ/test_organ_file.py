@@ -255,6 +255,15 @@ def test_an_arc_length_without_value_is_one_line(organ, tmp_path: Path) -> None:
         read_organ(path)
 
 
+@pytest.mark.parametrize("second", [0.0, np.nan])
+def test_a_centerline_with_repeated_points_is_one_line(organ, tmp_path: Path, second) -> None:
+    path, arc_length = tmp_path / "a.glb", organ.centerline.arc_length.copy()
+    arc_length[1] = second
+    write_organ(path, replace(organ, centerline=replace(organ.centerline, arc_length=arc_length)))
+    with pytest.raises(InputError, match=r"a\.glb is damaged: the arc lengths of its centerline"):
+        read_organ(path)
+
+
 def test_a_file_cut_short_is_one_line(organ, tmp_path: Path) -> None:
     path = tmp_path / "a.glb"
     write_organ(path, organ)

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import numpy as np
 
 from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.color import linear_from_srgb, luminance, srgb_from_linear
+from vrcaps.core.errors import UnknownNameError, require
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.units import MM
 from vrcaps.learn.picture_border import tissue_of
@@ -165,9 +166,13 @@ def illumination_of(image: UInt8[np.ndarray, "h w 3"], hue: float) -> Float[np.n
         image: Image of the wall.
         hue: Whether the mean hue of the image is that of the wall (1) or a color cast of light and
             camera (0), or a value between.
+
+    Raises:
+        InputError: If `hue` is not from 0 to 1.
     """
     from scipy.ndimage import gaussian_filter
 
+    require(0.0 <= hue <= 1.0, "hue", hue, "0 to 1")
     tissue, light = tissue_of(image), linear_from_srgb(image)
     blur = _LIGHT_BLUR * max(tissue.shape)
     weight = np.maximum(gaussian_filter(tissue.astype(float), blur), 1e-3)
@@ -189,7 +194,12 @@ def fluid_film(
         image: Image of the wall; fluid pools in its dark folds.
         draw: Random generator.
         fluid: Fluid; all but blood have an empty mask.
+
+    Raises:
+        UnknownNameError: If the fluid is unknown.
     """
+    if fluid not in get_args(Fluid):
+        raise UnknownNameError("fluid", fluid, get_args(Fluid))
     if fluid != "blood":
         body, extinction = _OTHERS[fluid]
         thickness = _film(image, draw, (0.15, 1.2))

@@ -193,16 +193,18 @@ def composite(
         The image, and the mask of the lesion: that of the patch within the field of view.
 
     Raises:
-        InputError: If the sizes differ.
+        InputError: If the sizes differ, or `hue` is not from 0 to 1.
     """
     size = image.shape[:2]
+    require(0.0 <= hue <= 1.0, "hue", hue, "0 to 1")
     require(patch.mask.shape == size, "size of the patch", patch.mask.shape, f"{size}, the image's")
     tissue = tissue_of(image)
     mask = patch.mask & tissue
     if not mask.any():
         return image, mask
     own = linear_from_srgb(image)[tissue].mean(axis=0)
-    cast = (own / own.sum()) / (patch.wall / patch.wall.sum())
+    wall = np.maximum(patch.wall, 1e-12)
+    cast = (own / own.sum()) / (wall / wall.sum())
     opacity = np.clip(1.0 - patch.ratio[..., 1:2], 0.0, 1.0)
     ratio = patch.ratio * np.clip(cast, 0.1, 10.0) ** (-hue * opacity)
     return _changed(image, ratio, mask), mask
@@ -272,7 +274,7 @@ def write_composites(
         Number of images by kind.
 
     Raises:
-        InputError: If the folder exists, an image cannot be read, or no lesion is visible.
+        InputError: If the folder exists, an image cannot be read, or there is no view or no image.
     """
     settings = settings or CompositeSettings()
     frames = [(one, index) for one in images for index in range(len(one))]

@@ -79,6 +79,8 @@ class Bubbles:
     def __post_init__(self) -> None:
         check_fields(self, of="Bubbles")
         require_sizes("Bubbles'", self.smallest, self.radius, self.largest)
+        _check_colors(self, "Bubbles'", Range(0.0), "stain")
+        _check_colors(self, "Bubbles'", Range(0.0, 1.0), "color")
 
 
 def require_sizes(whose: str, smallest: float, radius: float, largest: float) -> None:
@@ -93,6 +95,12 @@ def require_sizes(whose: str, smallest: float, radius: float, largest: float) ->
         (smallest, radius, largest),
         "above 0 m and ascending",
     )
+
+
+def _check_colors(of: object, whose: str, limits: Range, *names: str) -> None:
+    for name in names:
+        is_valid = len(given := getattr(of, name)) == 3 and all(x in limits for x in given)
+        require(is_valid, f"{whose} {name}", given, f"{limits} for each color")
 
 
 BUBBLE_SEVERITIES: tuple[Bubbles, ...] = (
@@ -149,6 +157,7 @@ class Chyme:
         require(1.0 <= self.clump_size < 1e3, "Chyme's clump_size", self.clump_size, "1 to 1000")
         require(0.0 < self.density < math.inf, "Chyme's density", self.density, "above 0 kg/m³")
         require_sizes("Chyme's", self.smallest, self.radius, self.largest)
+        _check_colors(self, "Chyme's", Range(0.0, 1.0), "yellow_color", "white_color")
 
 
 CHYME_SEVERITIES: tuple[Chyme, ...] = (
@@ -189,10 +198,7 @@ class Liquid:
             value = getattr(self, name)
             require(0.0 < value < math.inf, f"Liquid's {name}", value, "above 0")
         require(1.0 < self.ior < 3.0, "Liquid's ior", self.ior, "above 1 to 3")
-        for name in ("absorption", "scattering"):
-            value = getattr(self, name)
-            valid = all(0.0 <= x < math.inf for x in value)
-            require(valid, f"Liquid's {name}", value, "0 or more 1/m for each color")
+        _check_colors(self, "Liquid's", Range(0.0, unit="1/m"), "absorption", "scattering")
         require(0.0 < self.roughness <= 1.0, "Liquid's roughness", self.roughness, "above 0 to 1")
 
 
@@ -242,12 +248,8 @@ class Medium:
 
     def __post_init__(self) -> None:
         check_fields(self, of="Medium")
-        for name in ("absorption", "scattering"):
-            value = getattr(self, name)
-            is_valid = all(0.0 <= x < math.inf for x in value)
-            require(is_valid, f"Medium's {name}", value, "0 or more 1/m for each color")
-        is_valid = all(0.0 <= x <= 1.0 for x in self.floc_color)
-        require(is_valid, "Medium's floc_color", self.floc_color, "0 to 1 for each color")
+        _check_colors(self, "Medium's", Range(0.0, unit="1/m"), "absorption", "scattering")
+        _check_colors(self, "Medium's", Range(0.0, 1.0), "floc_color")
 
     def density(self, arc_length: float, seed: int) -> float:
         """Density at a position, relative to the median; 0 where there is no fluid.

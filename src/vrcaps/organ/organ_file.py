@@ -298,7 +298,10 @@ def _read(document: dict[str, Any], binary: memoryview) -> OrganSurface:
         raise ValueError("an arc length is not a number")
     if not isinstance(own["plain"]["metadata"], dict):
         raise ValueError("its metadata are not a table")
-    return organ_from_arrays(values | own["plain"])
+    organ = organ_from_arrays(values | own["plain"])
+    if not (np.diff(organ.centerline.arc_length) > 0.0).all():
+        raise ValueError("the arc lengths of its centerline do not ascend")
+    return organ
 
 
 def _of_vertices(

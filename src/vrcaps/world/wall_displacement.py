@@ -248,7 +248,8 @@ class LumenClosure:
         mean = np.interp(organ.arc_length, _SECTION * (filled + 0.5), means)
         phases = self._rng("course").uniform(0.0, 2.0 * np.pi, 2)
         sway = _SWAY * np.sin(organ.arc_length[:, None] / np.array(_PITCHES) + phases)
-        # The closed lumen stays within the wall at rest, and its sections do not cross in bends.
+        # The course leaves room for the slit, and sections do not cross in bends. Tone and folds
+        # may still widen a section beyond the wall at rest, by a third where R is 6 mm.
         room = np.maximum(mean - self.radius - _SLIT, 0.0)
         room = np.minimum(room, _BEND_LIMIT / np.maximum(self._curvature, 1e-6))
         sway *= (room / np.hypot(room, np.linalg.norm(sway, axis=1)))[:, None]

@@ -220,6 +220,15 @@ def test_an_empty_kind_places_nothing(gut: OrganSurface, wall: _core.Wall) -> No
     assert (populate(gut, Contents(1, 0), np.eye(4)).spheres.kind == BUBBLE).all()
 
 
+@pytest.mark.parametrize("kind", [Bubbles(per_area=1e30), Chyme(per_area=1e12)])
+def test_more_than_memory_holds_is_one_line(
+    gut: OrganSurface, wall: _core.Wall, kind: Bubbles | Chyme
+) -> None:
+    place = place_bubbles if isinstance(kind, Bubbles) else place_chyme
+    with pytest.raises(InputError, match=r"number of .*Allowed: up to 10,000,000\. Give"):
+        place(gut, wall, kind, UP, np.random.default_rng(0))  # type: ignore[arg-type]
+
+
 @pytest.fixture(scope="module")
 def short_gut() -> OrganSurface:
     return straight_gut({"bowel": 0.1}, radius=15.0 * MM)

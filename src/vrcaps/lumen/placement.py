@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Wall
+from vrcaps.core.errors import require
 from vrcaps.core.geometry import unit
 from vrcaps.core.rng import normal_along
 from vrcaps.core.units import MM
@@ -48,6 +49,8 @@ _TRIES = 12
 """Random positions tried for each sphere of a cluster."""
 _CREASES, _FOLD = 4, 4.0 * MM
 """Places tried for each raft of bubbles, and half the distance between them along the gut [m]."""
+_MOST = 10_000_000
+"""Maximum expected number of bubbles or of particles in an organ, which limits memory."""
 _FLATTENING = 0.35
 """Height of a clump on the wall relative to that of a hemisphere."""
 
@@ -161,6 +164,9 @@ def place_bubbles(
         bubbles: Number and sizes.
         up: Unit direction against gravity.
         rng: Random generator.
+
+    Raises:
+        InputError: If more than 10 million bubbles are expected.
     """
     rafts = _Seeds(organ, wall, bubbles, bubbles.raft_size, rng)
     if rafts.total == 0:
@@ -227,7 +233,11 @@ class _Seeds:
         self.organ, self.wall = organ, wall
         self.rng = rng
         edges, area = smooth_area(organ)
-        total = int(rng.poisson(kind.per_area * area[-1]))
+        expected = kind.per_area * float(area[-1])
+        name = f"number of {'bubbles' if isinstance(kind, Bubbles) else 'particles'}"
+        allowed = f"up to {_MOST:,}. Give a smaller per_area"
+        require(expected <= _MOST, name, f"{expected:.3g}", allowed)
+        total = int(rng.poisson(expected))
         self.counts = sizes(total, mean_size, rng)
         at = np.sort(rng.uniform(0.0, area[-1], len(self.counts)))
         self.arc_length = np.interp(at, area, edges)

@@ -55,7 +55,7 @@ number of waves around it."""
 _CREASE = 0.5
 """Half width of a crease, in deviations of its field."""
 _FOLD_SHARE, _FOLD_HEIGHT = 0.5, 3.0 * MM
-"""Height of the folds relative to √(R² − r²), and its maximum relative to the mean radius."""
+"""Height of the folds relative to √(R² − r²), and its maximum [m]."""
 _POCKET_PITCHES = (17 * MM, 27 * MM, 41 * MM)
 """Wavelengths / 2π of the field whose crests are pockets of gas, a few centimeters long [m]."""
 _POCKET_EDGE = 0.9

@@ -117,8 +117,8 @@ class AutoExposure(ImageEffect):
 
     Attributes:
         time_constant: τ [s]; 0 for a loop that has settled in every frame.
-        target: Target mean linear luminance, 1 = white. At 0.13 the middle of the image has that of
-            real capsule frames, 0.15.
+        target: Target mean linear luminance, 1 = white. The default is chosen by comparison with
+            real capsule frames.
         min_light: Minimum light, relative to the camera's own fixed exposure.
         max_light: Maximum light, relative to the same.
         max_gain: Maximum gain.

@@ -298,6 +298,20 @@ def test_the_same_arguments_give_the_same_files(tmp_path):
     assert made[0] == made[1] != made[2]
 
 
+def test_blood_is_the_kind_where_the_rendered_lesion_lies_outside(tmp_path, monkeypatch):
+    def outside(one: LesionPatch, *_: object) -> LesionPatch:
+        return replace(one, mask=np.zeros_like(one.mask))
+
+    polyp = replace(patch(), kind="polyp")
+    monkeypatch.setattr("vrcaps.learn.compositing.rendered_patch", lambda *_: polyp)
+    pairs = lesion_pairs([recording(False), recording(True)])
+    settings = CompositeSettings(24, normal=0.0, fluid=1.0)
+    with monkeypatch.context() as patched:
+        patched.setattr("vrcaps.learn.compositing.placed", outside)
+        assert "polyp" not in write_composites(pairs, [photos()], tmp_path / "outside", settings)
+    assert write_composites(pairs, [photos()], tmp_path / "inside", settings)["polyp"] > 0
+
+
 def test_unsuitable_data_are_refused(tmp_path):
     with pytest.raises(InputError, match="No recording has a clean twin"):
         lesion_pairs([recording(False)])

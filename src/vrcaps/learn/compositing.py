@@ -316,7 +316,7 @@ def _drawn(
                 patch = rendered_patch(*views[int(draw.integers(len(views)))])
                 if patch is not None:
                     made, mask = _with_patch(made, patch, hue, draw)
-                    kind = patch.kind
+                    kind = patch.kind if mask.any() else kind
             if way < settings.fluid:
                 for _ in range(2 if draw.uniform() < 0.3 else 1):
                     is_spotted = draw.uniform() < _HEMORRHAGE

@@ -124,6 +124,20 @@ def test_a_closed_section_is_a_folded_slit():
     assert len(np.unique(np.round(ratios, 3))) == 8
 
 
+@pytest.mark.parametrize("closed", [2 * MM, 5 * MM])
+@pytest.mark.parametrize("radius", [6 * MM, 12 * MM])
+def test_the_closed_lumen_stays_within_the_wall_at_rest(closed, radius):
+    """To a tenth, so that adjacent loops of a bowel do not intersect."""
+    line = np.stack([np.zeros(201), np.zeros(201), np.linspace(0.0, LENGTH, 201)], axis=1)
+    organ = tube_about(line, radius, 48)
+    for seed in range(3):
+        organ = replace(organ, metadata={CLOSED_RADIUS: closed, "seed": seed})
+        model = Model(organ, read_device("mirocam"), np.eye(4))
+        vertices = closed_wall(model, model.place(100 * MM).T_world_capsule)
+        away = np.abs(organ.arc_length - 100 * MM) > 20 * MM
+        assert np.linalg.norm(vertices[away, :2], axis=1).max() < 1.1 * radius
+
+
 @pytest.mark.parametrize("turn", [0.0, 0.3, 1.2])
 def test_the_slit_is_a_segment(turn):
     """The center of a section becomes a segment of the slit's length, not a point."""

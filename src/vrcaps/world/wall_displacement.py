@@ -24,9 +24,6 @@ from vrcaps.world.model import Model
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-    from vrcaps.world.model import Model
-
-
 _LEAST = 0.4 * MM
 """Minimum radius of a closed lumen [m]: the film of fluid between folds in contact."""
 _SOFT = 0.9 * MM
@@ -56,6 +53,8 @@ _CREASE = 0.5
 """Half width of a crease, in deviations of its field."""
 _FOLD_SHARE, _FOLD_HEIGHT = 0.5, 3.0 * MM
 """Height of the folds relative to √(R² − r²), and its maximum [m]."""
+_CREASE_DEPTH = 0.6
+"""Depth of creases below the mean wall, relative to the height of the folds."""
 _POCKET_PITCHES = (17 * MM, 27 * MM, 41 * MM)
 """Wavelengths / 2π of the field whose crests are pockets of gas, a few centimeters long [m]."""
 _POCKET_EDGE = 0.9
@@ -86,10 +85,9 @@ class LumenClosure:
 
     The circular muscle shortens the wall, and the mucosa, which does not, buckles into folds. Their
     height is proportional to √(R² − r²) for a section that closes from a radius R to r, as that of
-    sinusoidal pleats that keep the perimeter, r² + n² A² / 2 = R² (the mean of the squared arc
-    element of r + A cos nθ). Pockets of gas or fluid hold the lumen open: there the wall stays at
-    rest, in part or in full. Lengths, shares and sizes of folds, slit and pockets are estimates
-    from capsule frames.
+    sinusoidal pleats that keep the perimeter, r² + n² A² / 2 = R². Pockets of gas or fluid hold the
+    lumen open: there the wall stays at rest, in part or in full. Lengths, shares and sizes of
+    folds, slit and pockets are estimates from capsule frames.
 
     Attributes:
         model: Model whose wall is displaced.
@@ -115,11 +113,11 @@ class LumenClosure:
             Indices of the moved vertices and their positions in the world frame [m].
         """
         s_axis, offset_axis = self._axis(T_world_capsule, half_length)
-        order, sorted_s = self._order
-        span = _REACH + _FADE
+        (order, sorted_s), span = self._order, _REACH + _FADE
         first, last = np.searchsorted(sorted_s, [s_axis[0] - span, s_axis[-1] + span])
         moved = order[first:last]
-        s, center, course, outward, radius, mean = (each[moved] for each in self._polar)
+        of_vertex = (each[moved] for each in self._polar)
+        s, center, course, outward, radius, mean, tone, narrow, slit, top = of_vertex
         beyond = np.maximum(np.maximum(s_axis[0] - s, s - s_axis[-1]), 0.0)
         weight = smoothstep((span - beyond) / _FADE)
         own = np.exp(-((beyond / _RECENTER) ** 2))
@@ -127,16 +125,15 @@ class LumenClosure:
         offset += (1.0 - own)[:, None] * course
         cylinder = 1.0 - shell_radius / half_length
         low, high = np.interp([-cylinder, cylinder], np.linspace(-1, 1, _NUM_SAMPLES), s_axis)
-        tone = np.sin(s / _TONE_PITCHES[0]) * np.sin(s / _TONE_PITCHES[1] + 1.0)
         funnel = _FUNNEL * np.exp(-0.8 * tone)
         away = np.maximum(np.maximum(low - s, s - high), 0.0)
         far = smoothstep(away / funnel)
-        wanted = (1.0 - far) * _PLAY * shell_radius + far * self.radius * np.exp(-0.9 * tone)
-        slit = far * np.minimum(_SLIT, 2.0 * self.radius) * np.exp(-0.4 * tone)
+        wanted = (1.0 - far) * _PLAY * shell_radius + far * narrow
+        slit = far * slit
         offset += slit[:, None] * self._slit[moved]
         depth = np.maximum(mean - wanted, 0.0)
         height = np.sqrt(np.maximum(mean**2 - wanted**2, 0.0)) * _FOLD_SHARE
-        height = np.minimum(height, _FOLD_HEIGHT) * smoothstep(away / _ONSET)
+        height = np.minimum(height, top) * smoothstep(away / _ONSET)
         free = radius - depth - height * self._folds[moved] - 0.5 * slit - _LEAST
         closed = _LEAST + 0.5 * (free + np.hypot(free, _SOFT))
         weight = weight * (1.0 - self._openness[moved])
@@ -150,7 +147,7 @@ class LumenClosure:
         along = np.linspace(-half_length, half_length, _NUM_SAMPLES)
         points = T_world_capsule[:3, 3] + along[:, None] * T_world_capsule[:3, 2]
         line, course = self.model.organ.centerline, self._centerline_world
-        middle = np.argmin(np.linalg.norm(course - T_world_capsule[:3, 3], axis=1))
+        middle = np.linalg.norm(course - T_world_capsule[:3, 3], axis=1).argmin()
         near = np.abs(line.arc_length - line.arc_length[middle]) < 3.0 * half_length
         index = np.linalg.norm(points[:, None] - course[near], axis=2).argmin(axis=1)
         s, nearest = line.arc_length[near][index], course[near][index]
@@ -234,7 +231,8 @@ class LumenClosure:
         """Data of each vertex that do not depend on the pose.
 
         Arc length, center of its section, offset of the closed lumen from that center, outward
-        direction, radius, and mean radius of the section.
+        direction, radius, mean radius of the section, and of the closed section: tone, mean
+        radius, half length of the slit and maximum height of folds.
         """
         organ, pose = self.model.organ, self.model.T_world_patient
         at, frames, _ = interpolate(organ.centerline, organ.arc_length)
@@ -248,13 +246,20 @@ class LumenClosure:
         mean = np.interp(organ.arc_length, _SECTION * (filled + 0.5), means)
         phases = self._rng("course").uniform(0.0, 2.0 * np.pi, 2)
         sway = _SWAY * np.sin(organ.arc_length[:, None] / np.array(_PITCHES) + phases)
-        # The course leaves room for the slit, and sections do not cross in bends. Tone and folds
-        # may still widen a section beyond the wall at rest, by a third where R is 6 mm.
-        room = np.maximum(mean - self.radius - _SLIT, 0.0)
+        tone = np.sin(organ.arc_length / _TONE_PITCHES[0])
+        tone *= np.sin(organ.arc_length / _TONE_PITCHES[1] + 1.0)
+        narrow = self.radius * np.exp(-0.9 * tone)
+        slit = min(_SLIT, 2.0 * self.radius) * np.exp(-0.4 * tone)
+        top = np.minimum(_FOLD_SHARE * mean, _FOLD_HEIGHT)
+        reach = narrow + 0.5 * slit + _CREASE_DEPTH * top
+        fit = np.minimum(mean / reach, 1.0)
+        # The closed lumen stays within the wall at rest, and its sections do not cross in bends.
+        room = mean - fit * reach
         room = np.minimum(room, _BEND_LIMIT / np.maximum(self._curvature, 1e-6))
         sway *= (room / np.hypot(room, np.linalg.norm(sway, axis=1)))[:, None]
         course = np.einsum("ijk,ik->ij", (pose[:3, :3] @ frames)[:, :, :2], sway)
-        return organ.arc_length, center, course, outward, radius, mean
+        closed = (tone, fit * narrow, fit * slit, fit * top)
+        return organ.arc_length, center, course, outward, radius, mean, *closed
 
 
 def closure_of(model: Model) -> LumenClosure | None:

@@ -40,7 +40,9 @@ def coarse_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = shared_folder(tmp_path_factory) / "coarse-organs"
     with one_worker(folder.with_suffix(".lock")):
         if not folder.exists():
-            fill_cache(folder)
+            partial = folder.with_suffix(".partial")
+            fill_cache(partial)
+            partial.rename(folder)
     return folder
 
 

@@ -31,7 +31,9 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[], Mad
     path = shared_folder(factory) / f"{name}.pickle"
     with one_worker(path.with_suffix(".lock")):
         if not path.exists():
-            path.write_bytes(pickle.dumps(make()))
+            partial = path.with_suffix(".partial")
+            partial.write_bytes(pickle.dumps(make()))
+            partial.rename(path)
         return pickle.loads(path.read_bytes())
 
 

@@ -48,8 +48,8 @@ class Bubbles:
         shade: Fraction of its light that the wall below a bubble in liquid loses. The bubble is a
             diverging lens of focal length 1.5 R: 0.59 on its axis, 0.85 R below its center, if
             tissue does not spread the light.
-        ripple: Root mean square slope of its deviations from a sphere, which displace, magnify and
-            dim the mirror images of the LEDs.
+        ripple: RMS slope of its deviations from a sphere, which displace, magnify and dim the
+            images of the LEDs. Width and brightness of the rim vary around a bubble anyway.
         roughness: Roughness α of the film in the specular reflection of an LED.
         color: Linear color of the surroundings reflected by the film, with the wall behind.
     """

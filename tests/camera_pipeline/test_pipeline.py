@@ -504,6 +504,7 @@ def test_cameras_of_a_capsule_go_on_from_their_state(renderer: Renderer) -> None
     """Exposure and the last captured frame are a value; the recorder finds both in its table."""
     rate = AdaptiveFrameRate(1.0, 4.0, low_motion=0.0, high_motion=0.5)
     effects = Effects(auto_exposure=2, adaptive_frame_rate=rate)
+    target = AutoExposure(1.0).target
 
     def cameras() -> CapsuleCameras:
         return CapsuleCameras(renderer, effects, fps=4.0)
@@ -512,7 +513,7 @@ def test_cameras_of_a_capsule_go_on_from_their_state(renderer: Renderer) -> None
     whole, later, resumed = cameras(), cameras(), cameras()
     readings = [whole.expose(step) for step in steps[:2]]
     assert readings[0]["captured"] == 1
-    assert readings[0]["eye_luminance"] == pytest.approx(0.13, rel=1e-3)  # the loop starts settled
+    assert readings[0]["eye_luminance"] == pytest.approx(target, rel=1e-3)  # the loop starts settled
     later.state = whole.state
     captured = [k for k, row in enumerate(readings) if row["captured"]]
     resumed.resume(readings[-1], captured[-1])

@@ -513,7 +513,8 @@ def test_cameras_of_a_capsule_go_on_from_their_state(renderer: Renderer) -> None
     whole, later, resumed = cameras(), cameras(), cameras()
     readings = [whole.expose(step) for step in steps[:2]]
     assert readings[0]["captured"] == 1
-    assert readings[0]["eye_luminance"] == pytest.approx(target, rel=1e-3)  # the loop starts settled
+    # The loop starts settled.
+    assert readings[0]["eye_luminance"] == pytest.approx(target, rel=1e-3)
     later.state = whole.state
     captured = [k for k, row in enumerate(readings) if row["captured"]]
     resumed.resume(readings[-1], captured[-1])

@@ -1,11 +1,21 @@
-"""References to files: checksums are filled in and checked anywhere in a tree."""
+"""Fields of settings: values of a wrong type are reported, files have checksums."""
 
 from dataclasses import dataclass
+from typing import Annotated, Any
 
+import numpy as np
 import pytest
 
-from vrcaps.config.fields import FileRef, file_ref, path_of, with_checksums
+from vrcaps.actuation.magnet_actuator import FreeActuator
+from vrcaps.actuation.magnet_pose_solver import Workspace
+from vrcaps.camera_pipeline.effects import WhiteBalance
+from vrcaps.config.fields import FileRef, Range, check_fields, file_ref, path_of, with_checksums
 from vrcaps.core.errors import InputError
+from vrcaps.learn.compositing import CompositeSettings
+from vrcaps.lesion import Polyp
+from vrcaps.lumen.contents import Bubbles, Chyme, Contents, Liquid
+from vrcaps.motion.dynamics_settings import DynamicsSettings
+from vrcaps.tools.ct.from_ct import WallOptions
 
 
 @dataclass(frozen=True)
@@ -43,3 +53,65 @@ def test_a_texture_is_checked_by_its_head(tmp_path):
 def test_paths_alone_are_references(tmp_path):
     assert file_ref("a/b") == FileRef("a/b")
     assert path_of(FileRef("a/b")) == path_of("a/b")
+
+
+@dataclass(frozen=True)
+class Settings:
+    speed: float = 1.0
+    count: Annotated[int, Range(min=1)] = 1
+    limit: float | None = None
+    color: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sizes: tuple[int, ...] = ()
+    anything: Any = None
+
+    def __post_init__(self) -> None:
+        check_fields(self, of="Settings")
+
+
+@pytest.mark.parametrize(
+    ("given", "allowed"),
+    [
+        ({"speed": "a"}, "Settings' speed is 'a'. Allowed: a number."),
+        ({"speed": None}, "Settings' speed is None. Allowed: a number."),
+        ({"limit": (1.0,)}, "Settings' limit is (1.0,). Allowed: a number."),
+        ({"count": 1.5}, "Settings' count is 1.5. Allowed: a whole number, 1 or more."),
+        ({"count": np.float64(2.0)}, "Allowed: a whole number, 1 or more."),
+        ({"count": 0}, "Settings' count is 0. Allowed: 1 or more."),
+        ({"color": 5}, "Settings' color is 5. Allowed: 3 numbers."),
+        ({"color": (1.0, 2.0)}, "Settings' color is (1.0, 2.0). Allowed: 3 numbers."),
+        ({"color": "abc"}, "Settings' color is 'abc'. Allowed: 3 numbers."),
+        ({"sizes": (1, 2.5)}, "Settings' sizes is (1, 2.5). Allowed: whole numbers."),
+    ],
+)
+def test_a_value_of_a_wrong_type_is_reported(given, allowed):
+    with pytest.raises(InputError) as error:
+        Settings(**given)
+    assert str(error.value).endswith(allowed)
+
+
+def test_numbers_of_numpy_are_numbers():
+    given: dict[str, Any] = {"speed": np.float32(2.0), "count": np.int64(3), "limit": np.array(1.0)}
+    given |= {"color": np.zeros(3), "sizes": [np.int8(1)], "anything": "text"}
+    assert Settings(**given).count == 3
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (Bubbles, "radius"),
+        (Bubbles, "stain"),
+        (Chyme, "density"),
+        (Liquid, "fill"),
+        (Contents, "drift"),
+        (CompositeSettings, "count"),
+        (DynamicsSettings, "start"),
+        (WhiteBalance, "gains"),
+        (Polyp, "variant"),
+        (FreeActuator, "max_speed"),
+        (Workspace, "low"),
+        (WallOptions, "edge"),
+    ],
+)
+def test_settings_report_a_text_for_a_number(make, name):
+    with pytest.raises(InputError, match=rf"{name} is 'abc'\. Allowed: .*number"):
+        make(**{name: "abc"})

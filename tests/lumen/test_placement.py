@@ -192,7 +192,7 @@ def test_contents_take_grades_or_figures() -> None:
         (lambda: Bubbles(stain=(np.nan, 0.0, 0.0)), "Bubbles' stain is .*Allowed: 0 or more"),
         (lambda: Bubbles(stain=(-5.0, 0.0, 0.0)), "Bubbles' stain is .*Allowed: 0 or more"),
         (lambda: Bubbles(stain=(np.inf, 0.0, 0.0)), "Bubbles' stain is .*Allowed: 0 or more"),
-        (lambda: Bubbles(stain=(0.1, 0.1)), "Bubbles' stain is .*Allowed: 0 or more"),
+        (lambda: Bubbles(stain=(0.1, 0.1)), "Bubbles' stain is .*Allowed: 3 numbers"),
         (lambda: Bubbles(color=(-1.0, 0.0, 0.0)), "Bubbles' color is .*Allowed: 0 to 1"),
         (lambda: Bubbles(color=(0.5, 0.5, 1.5)), "Bubbles' color is .*Allowed: 0 to 1"),
         (lambda: Chyme(white_color=(np.nan, 0.0, 0.0)), "Chyme's white_color is .*Allowed: 0 to 1"),

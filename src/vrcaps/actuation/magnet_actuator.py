@@ -12,6 +12,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.actuation.arm.arm_with_payload import ArmWithPayload, magnet_pose_at, solve_joint_angles
 from vrcaps.actuation.magnet_pose_solver import Workspace
+from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.geometry import clamp_norm, length, rotate_by_vector, vector_from_rotation
 from vrcaps.magnet.sources import check_pose
@@ -78,6 +79,7 @@ class FreeActuator:
     max_angular_acceleration: float = 20.0
 
     def __post_init__(self) -> None:
+        check_fields(self, of="FreeActuator")
         for name, value in vars(self).items():
             if name.startswith("max_"):
                 require(0.0 < value < math.inf, f"FreeActuator's {name}", value, "above 0")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
+from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.units import CM
 from vrcaps.magnet.field import SourceSet
@@ -38,6 +39,7 @@ class Workspace:
     min_distance: float = 10.0 * CM
 
     def __post_init__(self) -> None:
+        check_fields(self, of="Workspace")
         if not all(low <= high for low, high in zip(self.low, self.high, strict=True)):
             raise InputError(
                 f"A workspace from {self.low} to {self.high} m. Allowed: low up to high."

@@ -7,11 +7,13 @@ repeated from the same data.
 from __future__ import annotations
 
 import math
+import operator
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from numbers import Real
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.files import file_sha256
@@ -57,47 +59,95 @@ def _text(limit: float) -> str:
 
 
 def check_fields(instance: Any, of: str = "") -> None:
-    """Check that each field with a `Range` or a `Literal` type holds an allowed value.
+    """Check that each field of numbers, or with a `Range` or a `Literal`, holds an allowed value.
 
-    Call it in `__post_init__`. A field that is None is not checked; an infinite number is outside
-    any open range.
+    Call it in `__post_init__`. A field that may be None is not checked if it is; an infinite number
+    is outside any open range. NumPy's numbers and arrays without axes are numbers.
 
     Args:
         instance: The dataclass.
         of: Owner of the fields, for messages.
 
     Raises:
-        InputError: If a number is out of range; states the field and the allowed values.
+        InputError: If a value is no number, not whole or out of range; states the field and the
+            allowed values.
         UnknownNameError: If a text is none of the literals.
     """
     owner = "" if not of else f"{of}' " if of.endswith("s") else f"{of}'s "
-    for name, range_, known in _limits(type(instance)):
+    for name, limit in _limits(type(instance)):
         value = getattr(instance, name)
-        if value is None:
-            continue
-        if range_ is not None:
-            if not _is_number(value) or value not in range_:
-                raise InputError(f"{owner}{name} is {value}. Allowed: {range_}.")
-        elif isinstance(value, str) and value not in known:
-            raise UnknownNameError(name.replace("_", " "), value, known)
+        if limit.words and not _are_numbers(value, limit):
+            limits = f", {limit.range_}" if limit.range_ else ""
+            raise InputError(f"{owner}{name} is {value!r}. Allowed: {limit.words}{limits}.")
+        if limit.range_ is not None and value is not None and value not in limit.range_:
+            raise InputError(f"{owner}{name} is {value}. Allowed: {limit.range_}.")
+        if limit.known and isinstance(value, str) and value not in limit.known:
+            raise UnknownNameError(name.replace("_", " "), value, limit.known)
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, Real) or getattr(value, "ndim", 1) == 0
+@dataclass(frozen=True)
+class _Limit:
+    """Allowed values of a field.
+
+    Attributes:
+        is_optional: Whether it may be None.
+        words: Description of the numbers that it holds; empty if it may hold anything else.
+        is_whole: Whether they are whole.
+        count: Their number in a tuple, 0 for any; None for a single number.
+        range_: Range of a single number.
+        known: Allowed texts; empty for any.
+    """
+
+    is_optional: bool
+    words: str
+    is_whole: bool
+    count: int | None
+    range_: Range | None
+    known: tuple[str, ...]
 
 
 @cache
-def _limits(cls: type) -> tuple[tuple[str, Range | None, tuple[str, ...]], ...]:
+def _limits(cls: type) -> tuple[tuple[str, _Limit], ...]:
     hints = get_type_hints(cls, include_extras=True)
-    limits = []
-    for name in (f.name for f in fields(cls)):
-        ranges = [
-            item for item in getattr(hints[name], "__metadata__", ()) if isinstance(item, Range)
-        ]
-        known = _literals(hints[name])
-        if ranges or known:
-            limits.append((name, ranges[0] if ranges else None, known))
-    return tuple(limits)
+    limits = [(f.name, _limit(hints[f.name])) for f in fields(cls)]
+    return tuple((name, limit) for name, limit in limits if limit.words or limit.known)
+
+
+def _limit(hint: Any) -> _Limit:
+    """Allowed values of a type."""
+    range_, plain = range_of(hint), get_args(hint)[0] if get_origin(hint) is Annotated else hint
+    is_union = get_origin(plain) in (Union, UnionType)
+    members = set(get_args(plain) if is_union else (plain,))
+    is_optional = bool({None, NoneType, Any} & members)
+    members -= {None, NoneType}
+    count = None
+    if len(members) == 1 and get_origin(items := next(iter(members))) is tuple:
+        members = set(get_args(items)) - {...}
+        count = 0 if ... in get_args(items) else len(get_args(items))
+    is_whole, words = members == {int}, ""
+    if range_ or (members and members <= {int, float}):
+        whole = "whole " if is_whole else ""
+        words = f"a {whole}number" if count is None else f"{count or ''} {whole}numbers".lstrip()
+    return _Limit(is_optional, words, is_whole, count, range_, _literals(hint))
+
+
+def _are_numbers(value: Any, limit: _Limit) -> bool:
+    if value is None:
+        return limit.is_optional
+    if limit.count is None:
+        return _is_number(value, limit.is_whole)
+    is_counted = hasattr(value, "__len__") and limit.count in (0, len(value))
+    return is_counted and all(_is_number(item, limit.is_whole) for item in value)
+
+
+def _is_number(value: Any, is_whole: bool) -> bool:
+    if not is_whole:
+        return isinstance(value, Real) or getattr(value, "ndim", 1) == 0
+    try:
+        operator.index(value)
+    except TypeError:
+        return False
+    return True
 
 
 def _literals(hint: Any) -> tuple[str, ...]:

@@ -18,11 +18,12 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import numpy as np
 import scipy
 
+from vrcaps.config.fields import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.color import linear_from_srgb, srgb_from_linear
 from vrcaps.core.errors import InputError, require
@@ -97,18 +98,14 @@ class CompositeSettings:
         seed: Random seed.
     """
 
-    count: int = 1000
-    normal: float = 0.4
-    fluid: float = 0.4
-    min_fraction: float = 0.004
-    seed: int = 0
+    count: Annotated[int, Range(min=1)] = 1000
+    normal: Annotated[float, Range(0.0, 1.0)] = 0.4
+    fluid: Annotated[float, Range(0.0, 1.0)] = 0.4
+    min_fraction: Annotated[float, Range(0.0, 1.0)] = 0.004
+    seed: Annotated[int, Range(min=0)] = 0
 
     def __post_init__(self) -> None:
-        require(self.count >= 1, "count", self.count, "1 or more")
-        require(self.seed >= 0, "seed", self.seed, "0 or more")
-        for name in ("normal", "fluid", "min_fraction"):
-            value = getattr(self, name)
-            require(0.0 <= value <= 1.0, name, value, "0 to 1")
+        check_fields(self)
 
 
 def lesion_pairs(sequences: Sequence[FrameSequence]) -> list[Pair]:

@@ -25,7 +25,7 @@ from typing import (
 import numpy as np
 
 from vrcaps.config.convert import register_family
-from vrcaps.config.fields import Range, range_of
+from vrcaps.config.fields import Range, check_fields, range_of
 from vrcaps.core.errors import InputError
 from vrcaps.core.registry import Registry
 from vrcaps.core.units import DEG, MM, parse_length
@@ -321,6 +321,7 @@ class Lesion:
     def __post_init__(self) -> None:
         for name, setting in settings_of(type(self)).items():
             setting.check(getattr(self, name), self.kind)
+        check_fields(self, of=self.kind)
 
     @classmethod
     def library(cls) -> dict[str, Lesion]:

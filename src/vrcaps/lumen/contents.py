@@ -99,7 +99,8 @@ def require_sizes(whose: str, smallest: float, radius: float, largest: float) ->
 
 def _check_colors(of: object, whose: str, limits: Range, *names: str) -> None:
     for name in names:
-        is_valid = len(given := getattr(of, name)) == 3 and all(x in limits for x in given)
+        given = getattr(of, name)
+        is_valid = all(x in limits for x in given)
         require(is_valid, f"{whose} {name}", given, f"{limits} for each color")
 
 
@@ -134,28 +135,21 @@ class Chyme:
         white_color: Linear base color of white particles.
     """
 
-    per_area: float = 1.0 / CM2
-    prevalence: float = 1.0
-    clump_size: float = 8.0
+    per_area: Annotated[float, Range(min=0.0)] = 1.0 / CM2
+    prevalence: Annotated[float, Range(0.0, 1.0)] = 1.0
+    clump_size: Annotated[float, Range(min=1.0, below=1e3)] = 8.0
     radius: float = 0.35 * MM
-    spread: float = 0.45
+    spread: Annotated[float, Range(min=0.0)] = 0.45
     smallest: float = 0.1 * MM
     largest: float = 1.5 * MM
-    settled: float = 0.5
-    white: float = 0.35
-    density: float = 1050.0
+    settled: Annotated[float, Range(0.0, 1.0)] = 0.5
+    white: Annotated[float, Range(0.0, 1.0)] = 0.35
+    density: Annotated[float, Range(above=0.0, unit="kg/m³")] = 1050.0
     yellow_color: tuple[float, float, float] = (0.27, 0.205, 0.055)
     white_color: tuple[float, float, float] = (0.44, 0.37, 0.22)
 
     def __post_init__(self) -> None:
-        for name in ("per_area", "spread"):
-            value = getattr(self, name)
-            require(0.0 <= value < math.inf, f"Chyme's {name}", value, "0 or more")
-        for name in ("prevalence", "settled", "white"):
-            value = getattr(self, name)
-            require(0.0 <= value <= 1.0, f"Chyme's {name}", value, "0 to 1")
-        require(1.0 <= self.clump_size < 1e3, "Chyme's clump_size", self.clump_size, "1 to 1000")
-        require(0.0 < self.density < math.inf, "Chyme's density", self.density, "above 0 kg/m³")
+        check_fields(self, of="Chyme")
         require_sizes("Chyme's", self.smallest, self.radius, self.largest)
         _check_colors(self, "Chyme's", Range(0.0, 1.0), "yellow_color", "white_color")
 
@@ -193,6 +187,7 @@ class Liquid:
     roughness: float = 0.02
 
     def __post_init__(self) -> None:
+        check_fields(self, of="Liquid")
         require(0.0 <= self.fill < 1.0, "Liquid's fill", self.fill, "0 to below 1")
         for name in ("density", "viscosity"):
             value = getattr(self, name)
@@ -363,6 +358,7 @@ class Contents:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        check_fields(self, of="Contents")
         require(abs(self.drift) <= 0.1, "Contents' drift", self.drift, "-0.1 to 0.1 m/s")
         require(0.0 <= self.reach < np.inf, "Contents' reach", self.reach, "0 m or more")
         require(self.seed >= 0, "Contents' seed", self.seed, "0, 1, 2, …")

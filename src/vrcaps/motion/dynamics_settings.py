@@ -10,7 +10,7 @@ import numpy as np
 
 from vrcaps.actuation.coil_program import CoilSteering, coil_column_names, coil_row
 from vrcaps.actuation.steering_program import MagnetSteering
-from vrcaps.config.fields import FileRef, file_ref
+from vrcaps.config.fields import FileRef, check_fields, file_ref
 from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.core.geometry import quaternion_from_matrix
 from vrcaps.motion.fly_through import FlyThrough
@@ -198,6 +198,7 @@ class DynamicsSettings(MotionSettings):
         )
 
     def __post_init__(self) -> None:
+        check_fields(self, of="Dynamics")
         if self.wrench_file is not None:
             object.__setattr__(self, "wrench_file", file_ref(self.wrench_file))
         for name, valid, allowed in (

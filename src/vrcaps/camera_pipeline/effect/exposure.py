@@ -142,6 +142,7 @@ class AutoExposure(ImageEffect):
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         time, gain = self.time_constant, self.max_gain
         require(0.0 <= time < math.inf, "AutoExposure's time_constant", time, "0 s or more")
         require(0.0 < self.target < 1.0, "AutoExposure's target", self.target, "above 0 to below 1")
@@ -258,6 +259,7 @@ class AdaptiveFrameRate(TimingEffect):
     name, short = "adaptive_frame_rate", "afr"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         rates, speeds = (self.min_fps, self.max_fps), (self.low_motion, self.high_motion)
         is_valid = 0.0 < self.min_fps <= self.max_fps < math.inf
         require(is_valid, "AdaptiveFrameRate's min_fps, max_fps", rates, "above 0 and ascending")

@@ -204,6 +204,7 @@ class Vignetting(ImageEffect):
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         power = self.cosine_power
         is_finite = bool(np.isfinite(self.coefficients).all())
         require(is_finite, "Vignetting's coefficients", self.coefficients, "three finite numbers")

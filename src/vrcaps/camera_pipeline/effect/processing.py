@@ -46,6 +46,7 @@ class WhiteBalance(ImageEffect):
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("gains", "response"):
             values = getattr(self, name)
             is_valid = all(0.0 < v < 100.0 for v in values)

@@ -117,6 +117,7 @@ class SensorNoise(ImageEffect):
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         well, black = self.full_well, self.black_level
         require(1.0 <= well <= 1e6, "SensorNoise's full_well", well, "1 to 1e6 electrons")
         for name, unit in (("read_noise", " electrons"), ("prnu", ""), ("dsnu", " electrons")):

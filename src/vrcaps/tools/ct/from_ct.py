@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import CM, MM
 from vrcaps.tools.ct.collapse_bridging import (
@@ -57,7 +58,7 @@ class WallOptions:
     anatomy: Literal["any", "colon"] = "any"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
+        check_fields(self)
         if not 0.1 * MM <= self.edge <= 20 * MM:
             raise InputError(f"Edge length {self.edge / MM:g} mm. Allowed: 0.1 to 20 mm.")
         if not (self.blur is None or 0.0 <= self.blur <= 5.0):

@@ -331,5 +331,12 @@ def test_unsuitable_data_are_refused(tmp_path):
         fluid_film(view(), np.random.default_rng(0), "wine")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="count"):
         CompositeSettings(0)
+    for pair, settings in (
+        ((recording(False, load=partial(loaded, True)), recording(True)), CompositeSettings(4)),
+        ((recording(False), recording(True)), CompositeSettings(4, min_fraction=1.0)),
+    ):
+        with pytest.raises(InputError, match=r"None of 3 views .* Allowed: 1 or more. Record more"):
+            write_composites([pair], [photos()], tmp_path / "none", settings)
+        assert not (tmp_path / "none").exists()
     with pytest.raises(InputError, match="0 views and 4 images"):
         write_composites([], [photos()], tmp_path / "none")

@@ -271,13 +271,20 @@ def write_composites(
         Number of images by kind.
 
     Raises:
-        InputError: If the folder exists, an image cannot be read, or there is no view or no image.
+        InputError: If the folder exists, an image cannot be read, there is no view or no image, or
+            no view shows a lesion that is large enough.
     """
     settings = settings or CompositeSettings()
     frames = [(one, index) for one in images for index in range(len(one))]
     views = [(*pair, index) for pair in pairs for index in range(len(pair[0]))]
     if not frames or not views:
         raise InputError(f"{len(views)} views and {len(frames)} images are given. Allowed: 1 each.")
+    if settings.normal < 1.0 and not any(_is_usable(*view, settings) for view in views):
+        raise InputError(
+            f"None of {len(views)} views shows a lesion that can cover min_fraction "
+            f"{settings.min_fraction:g} of an image. Allowed: 1 or more. Record more frames or "
+            "larger lesions."
+        )
     counts: dict[str, int] = defaultdict(int)
     with atomic_folder(out) as partial:
         for index in range(settings.count):
@@ -290,6 +297,14 @@ def write_composites(
             counts[kind] += 1
             progress(index + 1, settings.count)
     return dict(counts)
+
+
+def _is_usable(
+    sequence: FrameSequence, twin: FrameSequence, index: int, settings: CompositeSettings
+) -> bool:
+    """Return whether a view shows a lesion that is large enough when magnified the most."""
+    patch = rendered_patch(sequence, twin, index)
+    return patch is not None and patch.mask.mean() * _SCALE[1] ** 2 >= settings.min_fraction
 
 
 def _drawn(

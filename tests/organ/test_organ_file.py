@@ -237,8 +237,13 @@ def _no_metadata(document: dict) -> None:
     document["asset"]["extras"]["plain"]["metadata"] = [1]
 
 
+def _negative_seed(document: dict) -> None:
+    document["asset"]["extras"]["plain"]["metadata"]["seed"] = -3
+
+
 @pytest.mark.parametrize(
-    "fault", [_drop_array, _wrong_shape, _wrong_view, _too_few_vertices, _no_metadata]
+    "fault",
+    [_drop_array, _wrong_shape, _wrong_view, _too_few_vertices, _no_metadata, _negative_seed],
 )
 def test_a_damaged_file_is_one_line(organ, tmp_path: Path, fault) -> None:
     path = tmp_path / "a.glb"

@@ -298,6 +298,9 @@ def _read(document: dict[str, Any], binary: memoryview) -> OrganSurface:
         raise ValueError("an arc length is not a number")
     if not isinstance(own["plain"]["metadata"], dict):
         raise ValueError("its metadata are not a table")
+    seed = own["plain"]["metadata"].get("seed", 0)
+    if isinstance(seed, int) and seed < 0:
+        raise ValueError(f"seed in its metadata is {seed}. Allowed: 0 or more")
     organ = organ_from_arrays(values | own["plain"])
     if not (np.diff(organ.centerline.arc_length) > 0.0).all():
         raise ValueError("the arc lengths of its centerline do not ascend")

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support import once, waiting
+
 TESTS = Path(__file__).parent
 CLOCKS = {
     *("clock_gettime", "monotonic", "perf_counter", "process_time", "thread_time", "time"),
@@ -66,3 +68,13 @@ def test_no_test_reads_a_clock() -> None:
 )
 def test_clocks_are_found(line: str, is_clock: bool) -> None:
     assert bool(list(clocks_in(ast.parse(line)))) is is_clock
+
+
+def test_a_lock_that_is_never_free_fails_the_test(tmp_path, monkeypatch):
+    def held(file: int) -> bool:
+        raise OSError("another process holds it")
+
+    monkeypatch.setattr(once, "try_lock", held)
+    monkeypatch.setattr(waiting, "WATCHDOG", 0.0)
+    with pytest.raises(pytest.fail.Exception, match="Still"), once.one_worker(tmp_path / "a"):
+        raise AssertionError("entered")

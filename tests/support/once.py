@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import pickle
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import TypeVar
 
 import pytest
 
+from tests.support.waiting import wait_until
 from vrcaps.core.processes import try_lock
 
 Made = TypeVar("Made")
@@ -39,12 +39,15 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[], Mad
 
 @contextmanager
 def one_worker(lock: Path) -> Iterator[None]:
-    """Block that one process executes at a time."""
+    """Block that one process executes at a time; the test fails if its turn never comes."""
+
+    def is_locked() -> bool:
+        try:
+            try_lock(file.fileno())
+        except OSError:
+            return False
+        return True
+
     with lock.open("w") as file:
-        while True:
-            try:
-                try_lock(file.fileno())
-                break
-            except OSError:
-                time.sleep(0.05)
+        wait_until(is_locked)
         yield

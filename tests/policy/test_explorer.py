@@ -106,14 +106,16 @@ def test_a_reading_has_the_state() -> None:
     np.testing.assert_allclose(reading.T_magnet[:3, 2], magnet[:3, 2], atol=1e-6)
 
 
-def test_a_capsule_that_sees_the_wall_alone_is_pulled_away() -> None:
+@pytest.mark.parametrize("start", [0.0, 10.0])
+def test_a_capsule_that_sees_the_wall_alone_is_pulled_away(start: float) -> None:
+    """Also after ten episode times, where the observed time ends."""
     envs = explored()
     row = envs.reset(seed=0)[0]["state"][0].copy()
     reading = read_state(row, 60.0)
     explorer = Explorer(envs.view, Drive(envs.view, 0, reading.T_capsule[:3, :3]), 0)
     step = 0
     for step in range(40):
-        row[18] = 0.1 * step / 60.0
+        row[18] = min(start + 0.1 * step / 60.0, 10.0)
         explorer.action(read_state(row, 60.0), np.full((40, 40), 5e-3))
         if explorer._plan is not None and explorer._plan.pull is not None:
             break

@@ -16,7 +16,7 @@ stopped. A capsule that remains stopped hops, as that of `navigator`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -253,13 +253,20 @@ class Explorer:
         self._T_capsule_camera = view.device.cameras[0].T_capsule_camera
         self._rays = image_rays(view.device, _SIZE)
         self._plan: _Plan | None = None
-        self._next_image, self._next_check = 0.0, 0.0
+        self._time, self._next_image, self._next_check = -np.inf, 0.0, 0.0
         self._velocity, self._integral = np.zeros(3), 0.0
         self._failed: list[np.ndarray] = []
         self._blocked, self._escapes = 0, 0
 
     def action(self, reading: Reading, distances: Float[np.ndarray, "h w"]) -> np.ndarray:
-        """Action for a reading and an image of distances [m]."""
+        """Action for a reading and an image of distances [m].
+
+        The observed time ends at ten episode times, which a drive in the cockpit may exceed; from
+        then on control periods are counted.
+        """
+        if reading.time <= self._time:
+            reading = replace(reading, time=self._time + self._drive.dt)
+        self._time = reading.time
         T_camera = reading.T_capsule @ self._T_capsule_camera
         if reading.time >= self._next_image - 1e-9:
             self._next_image = reading.time + _IMAGE_PERIOD

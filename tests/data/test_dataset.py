@@ -15,6 +15,7 @@ from vrcaps.cli import main
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.files import files_in
 from vrcaps.data.store import open_store, read_at_once
+from vrcaps.formats.io import read_sources
 from vrcaps.recording.episode import read_episode
 
 
@@ -95,8 +96,19 @@ def test_tables_of_several_recordings_are_read_at_once(whole):
         read_episode(Meeting(member.files, meeting))
         for member in vrcaps.data.open(whole).members()[:2]
     ]
-    found = read_at_once(lambda episode: len(episode.table), episodes)
+    shown: list[tuple[int, int]] = []
+    found = read_at_once(
+        lambda episode: len(episode.table), episodes, lambda *counts: shown.append(counts)
+    )
     assert found == [3, 3]
+    assert shown == [(1, 2), (2, 2)]
+
+
+def test_a_source_shows_how_many_recordings_are_read(whole):
+    shown: list[tuple[int, int]] = []
+    sequences = read_sources([str(whole)], lambda *counts: shown.append(counts))
+    assert len(sequences) == 16
+    assert shown == [(done, 8) for done in range(1, 9)]
 
 
 class Meeting:

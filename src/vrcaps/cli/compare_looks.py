@@ -148,7 +148,7 @@ class CompareLooks:
         with progress_bar(f"reading {name}") as show:
             return read_image_set(
                 name,
-                read_source(source),
+                read_source(source, show),
                 max_images=self.max_images,
                 seed=self.seed,
                 progress=show,

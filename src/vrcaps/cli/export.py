@@ -53,7 +53,10 @@ class Export:
         if self.split is not None and self.split not in SPLITS:
             raise UnknownNameError("split", self.split, SPLITS)
         form = part_of(self)
-        sequences = sequences_of(self.source, camera=self.camera, split=self.split)
+        with progress_bar("reading") as show:
+            sequences = sequences_of(
+                self.source, camera=self.camera, split=self.split, progress=show
+            )
         if self.rectify is not None:
             sequences = tuple(rectified(one, radians(self.rectify)) for one in sequences)
         with progress_bar("exporting") as progress:

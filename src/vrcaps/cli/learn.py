@@ -90,10 +90,12 @@ class _Train:
         settings = settings_of(
             task, self.preset, self.data, self.start, changes, validation=self.validation
         )
-        sequences = read_sources(self.data)
+        with progress_bar("reading") as show:
+            sequences = read_sources(self.data, show)
+            validation = read_sources(self.validation, show) if self.validation else ()
         if self.validation:
             samples = samples_of(task, [s for s in sequences if s.split in (None, "train")])
-            held_out = samples_of(task, read_sources(self.validation))
+            held_out = samples_of(task, validation)
         else:
             samples, held_out = split_samples(task, sequences)
         tested = [s for s in sequences if s.split == "test"]
@@ -209,7 +211,8 @@ class _Evaluate:
 
         trained = read_weights(weights, task=self.task, device=available_device(self.device))
         warn_if_constant(trained)
-        sequences = [s for s in read_sources(self.data) if self.split in ("", s.split)]
+        with progress_bar("reading") as show:
+            sequences = [s for s in read_sources(self.data, show) if self.split in ("", s.split)]
         samples = samples_of(trained.task, sequences)
         result = evaluate(trained, samples)
         table, groups = print_evaluation(trained, result, sequences)

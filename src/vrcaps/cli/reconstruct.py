@@ -108,7 +108,8 @@ class Reconstruct:
 
         require_extra("reconstruct", "matplotlib", "skimage", "trimesh")
         require_new_folder(self.out)  # before the work
-        sequences = read_source(self.source)
+        with progress_bar("reading") as show:
+            sequences = read_source(self.source, show)
         chosen = [one for one in sequences if self.camera in ("", one.name.rpartition("/")[2])]
         if not chosen:
             raise InputError(f"{self.source} has no camera {self.camera!r}.")

@@ -88,16 +88,25 @@ class Dataset:
         return tuple(sorted({member.patient for member in self.members(split)}))
 
     def sequences(
-        self, split: str | None = None, camera: str | None = None
+        self,
+        split: str | None = None,
+        camera: str | None = None,
+        progress: Callable[[int, int], None] = lambda done, total: None,
     ) -> tuple[FrameSequence, ...]:
         """Return the frame sequences: one for each camera of each recording.
 
         The tables of all recordings are read immediately, images on demand.
 
+        Args:
+            split: Only this split; None takes all.
+            camera: Only the camera of this name; None takes all.
+            progress: Called with the number of read recordings and the total.
+
         Raises:
             UnknownNameError: If there is no such split or camera.
         """
-        groups = read_at_once(partial(Member.sequences, camera=camera), self.members(split))
+        read = partial(Member.sequences, camera=camera)
+        groups = read_at_once(read, self.members(split), progress)
         return tuple(sequence for sequences in groups for sequence in sequences)
 
 
@@ -126,7 +135,11 @@ def open(url: str | Path) -> Dataset:
 
 
 def sequences_of(
-    source: str | Path, *, camera: str | None = None, split: str | None = None
+    source: str | Path,
+    *,
+    camera: str | None = None,
+    split: str | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[FrameSequence, ...]:
     """Frame sequences of an episode or of the complete recordings of a data set.
 
@@ -134,6 +147,7 @@ def sequences_of(
         source: Folder or URL of an episode or a data set.
         camera: Only the camera of this name; None takes all.
         split: Only this split of a data set; None takes all.
+        progress: Called with the number of read recordings of a data set and the total.
 
     Raises:
         InputError: If it holds neither.
@@ -144,7 +158,7 @@ def sequences_of(
         store.read(PLAN)
     except OSError:
         return read_episode(episode_files(store)).sequences(camera)
-    return open(source).sequences(split, camera)
+    return open(source).sequences(split, camera, progress)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import os
 import posixpath
 import re
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -247,10 +247,24 @@ def episode_files(store: Store, folder: str = ".") -> EpisodeFiles:
     return StoredFiles(store.url, folder)
 
 
-def read_at_once(read: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Read several items at once; results are in the order of the items."""
+def read_at_once(
+    read: Callable[[Item], Result],
+    items: Collection[Item],
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Result]:
+    """Read several items at once; results are in the order of the items.
+
+    Args:
+        read: Reads one item.
+        items: The items.
+        progress: Called with the number of read items and the total.
+    """
+    results = []
     with ThreadPoolExecutor(_READS) as pool:
-        return list(pool.map(read, items))
+        for result in pool.map(read, items):
+            results.append(result)
+            progress(len(results), len(items))
+    return results
 
 
 @lru_cache(maxsize=16)

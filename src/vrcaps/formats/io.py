@@ -142,13 +142,16 @@ def _require_rising_times(sequence: FrameSequence) -> None:
         )
 
 
-def read_source(text: str) -> tuple[FrameSequence, ...]:
+def read_source(
+    text: str, progress: Callable[[int, int], None] = lambda done, total: None
+) -> tuple[FrameSequence, ...]:
     """Return the sequences of a source.
 
     Args:
         text: Folder or URL of an episode or a data set; a folder of episodes or of images; or
             ``KIND:FOLDER`` for a folder in the format KIND of `vrcaps export`, such as
             ``c3vd:/data/c3vd``.
+        progress: Called with the number of read recordings of a data set and the total.
 
     Raises:
         InputError: If it cannot be read.
@@ -158,7 +161,7 @@ def read_source(text: str) -> tuple[FrameSequence, ...]:
         return read_format(kind, path)
     folder = Path(text)
     if not folder.is_dir() or any((folder / name).exists() for name in (EPISODE_JSON, PLAN)):
-        return sequences_of(text)
+        return sequences_of(text, progress=progress)
     if episodes := [head.parent for head in listed(folder, f"*/{EPISODE_JSON}")]:
         return tuple(sequence for one in episodes for sequence in sequences_of(str(one)))
     return read_format("images", text) if _holds_images(folder) else sequences_of(text)
@@ -170,7 +173,9 @@ def _holds_images(folder: Path) -> bool:
     return any(path.suffix.lower() in IMAGES for path in paths)
 
 
-def read_sources(texts: Sequence[str]) -> tuple[FrameSequence, ...]:
+def read_sources(
+    texts: Sequence[str], progress: Callable[[int, int], None] = lambda done, total: None
+) -> tuple[FrameSequence, ...]:
     """Return the sequences of all sources, see `read_source`.
 
     Raises:
@@ -178,4 +183,4 @@ def read_sources(texts: Sequence[str]) -> tuple[FrameSequence, ...]:
     """
     if not texts:
         raise InputError("No data are given. Add --data FOLDER, once or more.")
-    return tuple(sequence for text in texts for sequence in read_source(text))
+    return tuple(sequence for text in texts for sequence in read_source(text, progress))

@@ -1,6 +1,7 @@
 """Minari data sets of recordings, read and checked by Minari."""
 
 import shutil
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -73,6 +74,23 @@ def test_each_recording_is_an_episode(pinhole_episode, tmp_path):
     splits = [one["split"] for one in data.storage.get_episode_metadata(range(2))]
     assert splits == ["train", "test"]
     assert not any(episode.rewards.any() for episode in data)
+
+
+def test_the_images_of_a_recording_are_in_memory_once(pinhole_episode):
+    sequence = pinhole_episode.sequence()
+    height, width = sequence.camera.height, sequence.camera.width
+    times = {"time": np.arange(2000.0)}
+    long = replace(sequence, values=times, load=lambda *_: np.ones((height, width, 3), np.uint8))
+    tracemalloc.start()
+    try:
+        buffer = Minari(images=True)._buffer((None, "tube", (long,)))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    images = buffer.observations[f"image_{sequence.camera.name}"]
+    assert images.shape == (2000, height, width, 3)
+    assert images.all()
+    assert peak < 1.5 * images.nbytes
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,8 @@ class Minari:
         dataset_id: Identifier in the metadata, with a version; if empty, it is the path of the
             output folder in Minari's folder, or elsewhere its last two parts or its name, such as
             vrcaps/drive-v0; vrcaps/recordings-v0 if these are not valid.
-        images: Store the color images of all cameras as observations.
+        images: Store the color images of all cameras as observations. Minari takes whole episodes:
+            the longest recording needs 9 bytes of memory per pixel of its images.
         reward: Reward of a step: `progress`, the distance that the capsule moves along the
             centerline towards the anal end [m], or `none`, 0.
     """
@@ -155,8 +156,11 @@ class Minari:
         episode = _episode(recording)
         observations = {_STATE: state_rows(episode).values}
         for sequence in self._cameras(recording):
-            images = [sequence.image("rgb", k) for k in range(len(sequence))]
-            observations[_image(sequence)] = np.stack(images)
+            assert sequence.camera is not None
+            shape = (len(sequence), sequence.camera.height, sequence.camera.width, 3)
+            images = observations[_image(sequence)] = np.empty(shape, np.uint8)
+            for k in range(len(sequence)):
+                images[k] = sequence.image("rgb", k)
         steps = len(episode) - 1
         return collector.EpisodeBuffer(
             observations=observations,

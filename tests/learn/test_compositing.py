@@ -16,7 +16,7 @@ from vrcaps.learn.augment import (  # noqa: E402
     WALL as MUCOSA,
 )
 from vrcaps.learn.augment import (  # noqa: E402
-    Film,
+    FluidFilm,
     fluid_film,
     hemorrhage,
     illumination_of,
@@ -221,7 +221,7 @@ def test_hemorrhagic_mucosa_is_red_with_spots_in_a_region(seed):
 def test_a_thick_film_has_its_own_color_and_a_thin_one_that_of_the_wall():
     shape = (4, 6, 3)
     light, white = np.full(shape, 0.3), np.full(shape, 0.5)
-    film = Film(np.array([0.08, 0.01, 0.01]), np.zeros(shape), np.zeros(shape[:2], bool))
+    film = FluidFilm(np.array([0.08, 0.01, 0.01]), np.zeros(shape), np.zeros(shape[:2], bool))
     assert film.over(light, white) == pytest.approx(light)
     thick = replace(film, density=np.full(shape, 50.0))
     assert thick.over(light, white) == pytest.approx(np.broadcast_to(0.5 * film.body, shape))
@@ -234,8 +234,8 @@ def test_fresh_blood_is_brighter_than_dark_fluid_behind_it():
     shape = (4, 6, 3)
     nothing = np.zeros(shape[:2], bool)
     white = np.full(shape, 1.0)
-    dark = Film(np.array([0.02, 0.02, 0.03]), np.full(shape, 50.0), nothing)
-    blood = Film(np.array([0.15, 0.01, 0.01]), np.full(shape, 50.0), nothing)
+    dark = FluidFilm(np.array([0.02, 0.02, 0.03]), np.full(shape, 50.0), nothing)
+    blood = FluidFilm(np.array([0.15, 0.01, 0.01]), np.full(shape, 50.0), nothing)
     behind = dark.over(np.full(shape, 0.4), white)
     assert (blood.over(behind, white)[..., 0] > 5.0 * behind[..., 0]).all()
 

@@ -1,5 +1,5 @@
 from .augment import Augmentation as Augmentation
-from .augment import Film as Film
+from .augment import FluidFilm as FluidFilm
 from .augment import fluid_film as fluid_film
 from .augment import illumination_of as illumination_of
 from .checkpoint import TrainedNetwork as TrainedNetwork

@@ -133,7 +133,7 @@ def _with_maps(sample: Sample, change: Callable[[NDArray], NDArray]) -> Sample:
 
 
 @dataclass(frozen=True)
-class Film:
+class FluidFilm:
     """Film of fluid in front of the wall.
 
     Attributes:
@@ -184,7 +184,7 @@ def illumination_of(image: UInt8[np.ndarray, "h w 3"], hue: float) -> Float[np.n
 
 def fluid_film(
     image: UInt8[np.ndarray, "h w 3"], draw: np.random.Generator, fluid: Fluid = "blood"
-) -> Film:
+) -> FluidFilm:
     """Return a film of fluid of random form, thickness and color.
 
     Blood is fresh, clotted or brown, thick or dilute; its mask is where it absorbs half of the
@@ -204,7 +204,7 @@ def fluid_film(
         body, extinction = _OTHERS[fluid]
         thickness = _film(image, draw, (0.15, 1.2))
         body = body * draw.uniform(0.5, 1.6) * np.exp(draw.uniform(-0.25, 0.25, 3))
-        return Film(body, thickness[..., None] * extinction, np.zeros(image.shape[:2], bool))
+        return FluidFilm(body, thickness[..., None] * extinction, np.zeros(image.shape[:2], bool))
     thickness = _film(image, draw, (0.07, 0.7))
     age, brown = draw.uniform() ** 1.5, draw.uniform() ** 2
     body = FRESH + (OLD - FRESH) * age
@@ -212,10 +212,10 @@ def fluid_film(
     haze = draw.uniform(0.0, 0.012) if draw.uniform() < 0.5 else 0.0
     body = body * _log_uniform(draw, 0.6, 3.0) + haze
     density = thickness[..., None] * (BLOOD_EXTINCTION + (_BROWN[1] - BLOOD_EXTINCTION) * brown)
-    return Film(body, density, density[..., 1] > _VISIBLE)
+    return FluidFilm(body, density, density[..., 1] > _VISIBLE)
 
 
-def hemorrhage(image: UInt8[np.ndarray, "h w 3"], draw: np.random.Generator) -> Film:
+def hemorrhage(image: UInt8[np.ndarray, "h w 3"], draw: np.random.Generator) -> FluidFilm:
     """Return hemorrhagic mucosa: spots and streaks of blood in a region of reddened mucosa.
 
     The mask is the region.
@@ -233,7 +233,7 @@ def hemorrhage(image: UInt8[np.ndarray, "h w 3"], draw: np.random.Generator) -> 
     reddened = _log_uniform(draw, 0.03, 0.15) * uneven
     thickness = within * (reddened + draw.uniform(0.05, 0.4) * spots) * MM
     body = (FRESH + (OLD - FRESH) * draw.uniform()) * draw.uniform(0.7, 2.0)
-    return Film(body, thickness[..., None] * BLOOD_EXTINCTION, within > 0.4)
+    return FluidFilm(body, thickness[..., None] * BLOOD_EXTINCTION, within > 0.4)
 
 
 def _film(

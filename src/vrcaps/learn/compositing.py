@@ -6,9 +6,9 @@ neither the light nor the wall of the renderer (the quotient image of Shashua an
 TPAMI 23, 2001). A real image is multiplied by it in linear light, so the lesion has the light, the
 color cast and the exposure of that image.
 
-Blood dissolved in fluid has no outline on the wall. It is drawn as a `Film` of random form with the
-transmittance of blood, in front of the wall or of other fluids, which images without a lesion show
-as well.
+Blood dissolved in fluid has no outline on the wall. It is drawn as a `FluidFilm` of random form
+with the transmittance of blood, in front of the wall or of other fluids, which images without a
+lesion show as well.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from vrcaps.core.files import atomic_folder
 from vrcaps.core.geometry import smoothstep
 from vrcaps.learn.augment import (
     WALL,
-    Film,
     Fluid,
+    FluidFilm,
     fluid_film,
     hemorrhage,
     illumination_of,
@@ -353,7 +353,7 @@ def _with_patch(
     return np.where(mask[..., None], linear_from_srgb(changed), light), mask
 
 
-def _other_fluid(image: UInt8[np.ndarray, "h w 3"], draw: np.random.Generator) -> Film:
+def _other_fluid(image: UInt8[np.ndarray, "h w 3"], draw: np.random.Generator) -> FluidFilm:
     """Film of bile, shadow or murky fluid."""
     fluids: tuple[Fluid, ...] = ("bile", "shadow", "murky")
     return fluid_film(image, draw, fluids[int(draw.integers(len(fluids)))])

@@ -15,6 +15,10 @@ from vrcaps.learn.compositing import CompositeSettings
 from vrcaps.lesion import Polyp
 from vrcaps.lumen.contents import Bubbles, Chyme, Contents, Liquid
 from vrcaps.motion.dynamics_settings import DynamicsSettings
+from vrcaps.render.settings import RenderSettings
+from vrcaps.tissue.fem.deformation import FemDeformation
+from vrcaps.tissue.motility.motility import GiantContractions, Propulsion
+from vrcaps.tissue.tissue import Drag, SpringWall, WinklerFoundation
 from vrcaps.tools.ct.from_ct import WallOptions
 
 
@@ -110,6 +114,13 @@ def test_numbers_of_numpy_are_numbers():
         (FreeActuator, "max_speed"),
         (Workspace, "low"),
         (WallOptions, "edge"),
+        (WinklerFoundation, "thickness"),
+        (Drag, "friction"),
+        (SpringWall, "length"),
+        (FemDeformation, "edge"),
+        (Propulsion, "beta"),
+        (GiantContractions, "rate"),
+        (RenderSettings, "spp"),
     ],
 )
 def test_settings_report_a_text_for_a_number(make, name):

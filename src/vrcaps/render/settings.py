@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import InputError, UnknownNameError, require
 
 MAX_FILM_UM = 1000.0
@@ -60,6 +61,7 @@ class RenderSettings:
         return self.supersampling > 1 or self.denoise
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.light not in get_args(Light):
             raise UnknownNameError("light", self.light, get_args(Light))
         if self.scattering and self.light == "direct":

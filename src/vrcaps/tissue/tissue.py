@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
+from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import UnknownNameError, require
 from vrcaps.core.units import MM
 from vrcaps.tissue.fem.deformation import FemDeformation
@@ -59,6 +60,7 @@ class WinklerFoundation:
     strain_rate: float = 1.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name, valid, allowed in (
             ("thickness", 0.0 < self.thickness < math.inf, "above 0 m"),
             ("youngs_modulus", 0.0 < self.youngs_modulus < math.inf, "above 0 Pa"),
@@ -138,6 +140,7 @@ class SpringWall:
     kind: ClassVar[str] = "spring"
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("length", "reach", "mass", "stiffness", "foundation_gain"):
             value = getattr(self, name)
             require(0.0 < value < math.inf, name, value, "above 0")
@@ -208,6 +211,7 @@ class Drag:
     def __post_init__(self) -> None:
         if self.law not in _LAWS:
             raise UnknownNameError("drag law", self.law, _LAWS)
+        check_fields(self)
         for name in ("friction", "viscosity", "a", "b", "constant", "threshold"):
             value = getattr(self, name)
             require(0.0 <= value < math.inf, name, value, "0 or more")

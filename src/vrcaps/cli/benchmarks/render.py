@@ -185,15 +185,17 @@ def triangles(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Stu
 
 def refit(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
     """Time the refit of the hierarchy after every vertex of a wall has moved."""
-    from vrcaps._core import Wall
+    from vrcaps.core.geometry import wall_of
 
     moving = with_moving_wall(stage)
     vertices = [np.ascontiguousarray(state.vertices_world, np.float64) for state in moving.states]
     faces = np.ascontiguousarray(stage.model.organ.faces, np.int64)
-    wall = Wall(vertices[0], faces)
+    wall = wall_of(vertices[0], faces)
     subjects = [
         Subject("refit", lambda view: wall.refit(vertices[view]), "with new vertex normals"),
-        Subject("build", lambda view: Wall(vertices[view], faces), "from nothing, for comparison"),
+        Subject(
+            "build", lambda view: wall_of(vertices[view], faces), "from nothing, for comparison"
+        ),
     ]
     times = _timed(subjects, extent, progress)
     share = 1e5 / stage.num_triangles

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps._core import Wall
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import (
+    Wall,
     invert,
     octahedral_directions,
     transform_from,

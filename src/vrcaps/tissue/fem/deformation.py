@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.core.units import MM
 
@@ -63,6 +64,7 @@ class FemDeformation:
     kind: ClassVar[str] = "fem"
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.model not in _MODELS:
             raise UnknownNameError("model", self.model, _MODELS)
         for name in ("thickness", "density", "youngs_modulus", "edge", "step"):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import UnknownNameError, require
 from vrcaps.core.units import CM
 from vrcaps.tissue.motility.migrating_complex import ComplexStatistics, Front
@@ -47,6 +48,7 @@ class Propulsion:
     segment_length: float = 10.0 * CM
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require(0.0 <= self.beta < math.inf, "beta", self.beta, "0 N·s/m or more")
         if self.alpha is not None:
             require(0.0 <= self.alpha < math.inf, "alpha", self.alpha, "0 m/s or more, or None")
@@ -106,6 +108,7 @@ class GiantContractions:
     origin: float = 0.4
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require(0.0 <= self.rate <= 1.0 / 3600.0, "rate", self.rate, "0 to 1 per hour [1/s]")
         for name in ("amplitude", "origin"):
             value = getattr(self, name)

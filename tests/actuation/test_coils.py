@@ -215,7 +215,7 @@ def test_scenarios_hold_the_array():
         ),
         (
             lambda: CoilSteering((Currents(0.0, (0.0,) * 9),), command_file="a.csv"),
-            "Of currents, joystick and command_file several are given",
+            "Several of currents, joystick and command_file are given",
         ),
     ],
 )

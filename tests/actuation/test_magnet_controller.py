@@ -233,7 +233,7 @@ def test_what_cannot_be(gut_model):
         centerline_target(gut_model.organ.centerline, np.eye(4), 1.0)
     with pytest.raises(InputError, match="CapsuleTarget's direction is"):
         CapsuleTarget((0, 0, 0), (0, 0, 2))
-    with pytest.raises(InputError, match="at right angles to the wall"):
+    with pytest.raises(InputError, match="perpendicular to the wall"):
         wall_target(gut_model, np.array([0.1, 0, 0.01]), wall_target(
             gut_model, np.array([0.1, 0, 0.01]), np.array([1.0, 0, 0])).wall_normal)  # fmt: skip
     controller, _, _ = begin(gut_model)

@@ -179,7 +179,7 @@ def test_commands_are_read(tmp_path: Path):
 def test_what_cannot_be(gut_model):
     with pytest.raises(UnknownNameError, match="No wall named 'left'"):
         MagnetSteering(wall="left")
-    with pytest.raises(InputError, match="several are given"):
+    with pytest.raises(InputError, match="Several of waypoints"):
         MagnetSteering(waypoints=PATH, command_file="x.csv")
     with pytest.raises(InputError, match=r"^speed is 0\.0\. Allowed: above 0 to 1 m/s"):
         MagnetSteering(speed=0.0)

@@ -242,7 +242,7 @@ lobe_exponent = 0
     ("old", "new", "message"),
     [
         ("length_mm = 26\n", "", "mine.toml: missing key length_mm: a number."),
-        ('title = "Mine"', "title = 5", "mine.toml: title is 5. Allowed: a text."),
+        ('title = "Mine"', "title = 5", "mine.toml: title is 5. Allowed: a string."),
         ("length_mm = 26", 'length_mm = "26"', "length_mm is '26'. Allowed: a number."),
         ("length_mm = 26", "length_mm = true", "length_mm is True. Allowed: a number."),
         ("length_mm = 26", "length_mm = inf", "length_mm is inf. Allowed: a number."),

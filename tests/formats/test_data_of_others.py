@@ -94,7 +94,7 @@ def test_names_in_a_list_are_no_paths(kind, exported, tmp_path):
         ({"name": "../../x"}, "The name of a sequence is '../../x'"),
         ({"split": "../x"}, "No split of"),
         ({"load": "os:abort"}, "unknown key"),
-        ({"name": 5}, "is 5. Allowed: a text"),
+        ({"name": 5}, "is 5. Allowed: a string"),
     ):
         path.write_text(json.dumps({place: row | change for place, row in rows.items()}))
         with pytest.raises(VrcapsError, match=message):

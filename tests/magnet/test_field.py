@@ -361,9 +361,9 @@ def test_places_without_a_field(source, point, message):
 
 
 def test_points_must_be_finite_rows():
-    with pytest.raises(InputError, match=r"Points of shape \(3,\)\. Allowed: n rows of 3 finite"):
+    with pytest.raises(InputError, match=r"Points have shape \(3,\)\. Allowed: n rows of 3 finite"):
         field([Dipole(1.0)], np.zeros(3))
-    with pytest.raises(InputError, match=r"Points of shape \(1, 3\)"):
+    with pytest.raises(InputError, match=r"Points have shape \(1, 3\)"):
         field([Dipole(1.0)], np.array([[0, np.nan, 0]]))
 
 

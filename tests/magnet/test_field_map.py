@@ -137,7 +137,7 @@ def test_npz_that_is_no_map(tmp_path, given, message):
             "x,y,z,bx,by,bz\n0,0,0,1,2,3\n1,1,0,1,2,3\n",
             "do not fill a grid of 2 x 2 x 1",
         ),
-        ("map.npz", "nonsense", "is no NPZ file of numbers"),
+        ("map.npz", "nonsense", "is not an NPZ file of numbers"),
         ("map.txt", "", r"unknown kind of field map\. Allowed: \.npz, \.csv"),
     ],
 )
@@ -163,7 +163,7 @@ def test_units_and_files_must_be_known(tmp_path):
             (0, 0, 0),
             (1, 1, 1),
             np.zeros((4, 4, 3, 3)),
-            r"shape \(4, 4, 3, 3\)\. Allowed: nx ny nz 3",
+            r"shape \(4, 4, 3, 3\)\. Allowed: \[nx ny nz 3\]",
         ),
         ((0, 0, 0), (1, 1, 1), np.full((4, 4, 4, 3), np.nan), "values that are not finite"),
         ((0, 0, 0), (1, 0, 1), np.zeros((4, 4, 4, 3)), "Allowed: finite numbers, spacing above 0"),

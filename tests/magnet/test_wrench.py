@@ -124,7 +124,7 @@ def test_capsule_in_a_dipole():
 
 
 def test_poses_must_be_finite_matrices():
-    with pytest.raises(InputError, match=r"Poses of shape \(4, 4\)\. Allowed: finite"):
+    with pytest.raises(InputError, match=r"Poses have shape \(4, 4\)\. Allowed: finite"):
         wrench([Dipole(1.0)], [SMALL], np.full((4, 4), np.nan))
 
 

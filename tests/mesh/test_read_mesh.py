@@ -259,14 +259,16 @@ def test_empty_mesh(tmp_path):
 
 def test_vertices_that_are_not_finite(tmp_path):
     (tmp_path / "a.obj").write_text("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n")
-    with pytest.raises(InputError, match="1 vertices that are not finite, the first is number 1"):
+    with pytest.raises(InputError, match="1 vertices that are not finite, first at index 1"):
         read_mesh(tmp_path / "a.obj", unit="mm")
 
 
 @pytest.mark.parametrize("index", ["9", "-7"])
 def test_face_indices_out_of_range(tmp_path, index):
     (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 {index}\n")
-    with pytest.raises(InputError, match=r"1 faces with indices out of range.*number 1: \[0, 1,"):
+    with pytest.raises(
+        InputError, match=r"1 faces with vertex indices out of range.*face 1: \[0, 1,"
+    ):
         read_mesh(tmp_path / "a.obj", unit="mm")
 
 

@@ -242,7 +242,7 @@ def test_ply_labels_of_faces_out_of_range_of_the_vertices(tmp_path: Path) -> Non
         face=lambda k: "3 0 1 9 1",
     )
     (tmp_path / "a.ply").write_text(text)
-    with pytest.raises(InputError, match="4 faces with indices out of range"):
+    with pytest.raises(InputError, match="4 faces with vertex indices out of range"):
         read(tmp_path / "a.ply")
 
 

@@ -116,5 +116,7 @@ def test_highlights_outside_the_mask_do_not_count():
 
 @pytest.mark.parametrize("shape", [(4, 8), (8, 8)])
 def test_highlights_need_a_mask_with_pixels(shape):
-    with pytest.raises(InputError, match=r"The mask has shape .* and 0 pixels; allowed: \(8, 8\)"):
+    with pytest.raises(
+        InputError, match=r"The mask has shape .* and 0 pixels set\. Allowed: shape \(8, 8\)"
+    ):
         highlights(np.zeros((8, 8, 3), np.uint8), np.zeros(shape, bool))

@@ -91,7 +91,7 @@ def test_bad_input_is_one_clear_line():
     with pytest.raises(UnknownNameError, match="alignment of a trajectory"):
         absolute_trajectory_error(poses, poses, align="affine")  # type: ignore[arg-type]
     line = transform_from(np.eye(3), np.linspace(0, 1, 5)[:, None] * [1.0, 0.0, 0.0])
-    with pytest.raises(InputError, match="on one line"):
+    with pytest.raises(InputError, match="collinear"):
         absolute_trajectory_error(line, line)
     with pytest.raises(InputError, match="delta of relative poses is 30"):
         relative_pose_error(poses, poses, delta=30)

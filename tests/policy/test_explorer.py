@@ -137,7 +137,7 @@ def test_it_needs_a_magnet_and_its_observations() -> None:
     memory = {"state/center": np.zeros((1, 3))}
     rope: Any = SimpleNamespace(actuation=SimpleNamespace(kind="rope"), memory=memory)
     rope.control_period = 0.1
-    with pytest.raises(InputError, match="explorer cannot drive 'rope'"):
+    with pytest.raises(InputError, match="explorer does not support 'rope'"):
         Drive(rope, 0, np.eye(3))
 
 

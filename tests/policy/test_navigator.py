@@ -74,5 +74,5 @@ def test_it_needs_a_magnet() -> None:
         read_policy("navigator").requires.check(settings, "navigator")
     rope = SimpleNamespace(actuation=SimpleNamespace(kind="rope"))
     rope.patient, rope.memory = lambda _: SimpleNamespace(model=None), {}
-    with pytest.raises(InputError, match="navigator cannot drive 'rope'"):
+    with pytest.raises(InputError, match="navigator does not support actuation 'rope'"):
         Guide(rope, 0)  # type: ignore[arg-type]

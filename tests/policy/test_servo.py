@@ -112,7 +112,7 @@ def test_a_goal_right_behind_has_a_way_round() -> None:
 def test_an_actuation_that_it_cannot_drive_is_one_line() -> None:
     body = free_body(small_settings())
     body.actuation = SimpleNamespace(kind="rope")
-    with pytest.raises(InputError, match="cannot drive 'rope'"):
+    with pytest.raises(InputError, match="does not support 'rope'"):
         servo_actions(body, Goal(np.zeros((2, 3)), np.zeros((2, 3))))
 
 

@@ -110,7 +110,7 @@ def test_a_policy_refuses_other_observations_and_actions(trained: Path) -> None:
     with pytest.raises(InputError, match="have 25 numbers; the policy was trained with 19"):
         policy.act({"state": rows}, CapsuleVectorEnv(settings))
     discrete = CapsuleVectorEnv(replace(settings, actuation=Wrench("discrete")))
-    with pytest.raises(InputError, match=r"gives 6 numbers for an action.*Discrete\(7\)"):
+    with pytest.raises(InputError, match=r"outputs 6 numbers per action.*Discrete\(7\)"):
         policy.act({"state": rows[:, :19]}, discrete)
 
 

@@ -59,7 +59,7 @@ def test_grid_stands_in_its_frame():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: HallArray(np.zeros(3)), r"Sensors of shape \(3,\)\. Allowed: n rows of 3"),
+        (lambda: HallArray(np.zeros(3)), r"Sensors have shape \(3,\)\. Allowed: n rows of 3"),
         (lambda: replace(ARRAY, noise=-1.0), r"HallArray noise is -1\.0\. Allowed: 0 or more"),
         (lambda: replace(ARRAY, resolution=np.nan), r"HallArray resolution is nan"),
         (lambda: replace(ARRAY, range=0.0), r"HallArray range is 0\.0\. Allowed: above 0"),

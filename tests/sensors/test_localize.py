@@ -81,5 +81,5 @@ def test_too_few_readings():
     reading[:2] = 0.0
     with pytest.raises(InputError, match=r"6 finite readings\. Allowed: 8 or more"):
         localize(ARRAY, reading, Dipole(1.0))
-    with pytest.raises(InputError, match=r"Readings of shape \(3,\)\. Allowed: \(36, 3\)"):
+    with pytest.raises(InputError, match=r"Readings have shape \(3,\)\. Allowed: \(36, 3\)"):
         localize(ARRAY, np.zeros(3), Dipole(1.0))

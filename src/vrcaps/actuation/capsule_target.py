@@ -155,7 +155,7 @@ def wall_target(
     look = np.asarray(direction, float) - inward * (inward @ np.asarray(direction, float))
     norm = np.linalg.norm(look)
     if norm < 1e-6:
-        raise InputError(f"Direction {direction} is at right angles to the wall. Choose another.")
+        raise InputError(f"Direction {direction} is perpendicular to the wall. Choose another.")
     position = nearest[0] + model.device.radius * inward
     return CapsuleTarget(position, look / norm, None, -inward)
 

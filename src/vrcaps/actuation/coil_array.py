@@ -238,7 +238,7 @@ def currents_for_wrench(
     *,
     length: float = 0.01,
 ) -> Float[np.ndarray, " k"]:
-    """Currents [A] of least heat whose wrench is nearest to a target, scaled down to the limits.
+    """Currents [A] with the least heat whose wrench is nearest to a target, scaled to the limits.
 
     Minimum-norm least squares, as for OctoMag (Kummer et al., IEEE Trans. Robot. 26:1006, 2010).
 

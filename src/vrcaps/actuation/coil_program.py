@@ -71,7 +71,7 @@ class CoilSteering:
     """Settings of an array of electromagnets that acts on the capsule.
 
     Commands are currents over time, or joystick axes, which are converted to a force and a torque
-    on the capsule by the currents of least heat.
+    on the capsule by the currents that generate the least heat.
 
     Example:
         >>> ramp = (Currents(0.0, (0.0,) * 9), Currents(2.0, (0.0,) * 4 + (40.0,) + (0.0,) * 4))
@@ -109,7 +109,7 @@ class CoilSteering:
             object.__setattr__(self, "command_file", file_ref(self.command_file))
         if sum(map(bool, (self.currents, self.joystick, self.command_file))) > 1:
             raise InputError(
-                "Of currents, joystick and command_file several are given. Give one of them."
+                "Several of currents, joystick and command_file are given. Give one of them."
             )
         check_currents(self.currents, len(self.array.coils), "currents")
         check_joystick(self.joystick, "joystick")

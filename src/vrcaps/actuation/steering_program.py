@@ -152,7 +152,7 @@ class MagnetSteering:
         check_fields(self)
         if sum(map(bool, (self.waypoints, self.joystick, self.command_file))) > 1:
             raise InputError(
-                "Of waypoints, joystick and command_file several are given. Give one of them."
+                "Several of waypoints, joystick and command_file are given. Give one of them."
             )
         check_waypoints(self.waypoints, "waypoints")
         check_joystick(self.joystick, "joystick")

@@ -251,7 +251,7 @@ class _All(Effect):
 
 
 def parse_effects(text: str) -> Effects:
-    """Parse effects from a text such as `specular=3,dof=1`.
+    """Parse effects from a string such as `specular=3,dof=1`.
 
     Items are separated by commas; later items override earlier ones: `default` for the capsule's
     own camera, `none` for an ideal camera with fixed exposure, `NAME=SEVERITY`, `NAME=FIRST..LAST`

@@ -22,7 +22,7 @@ class UnitVariation:
     """Differences between the units of one model of capsule.
 
     Each value is the standard deviation of a normal distribution truncated at two standard
-    deviations, from which a unit draws by its seed. No maker publishes them: they are estimates.
+    deviations, sampled for each unit by its seed. Manufacturers publish none: they are estimates.
 
     Attributes:
         white_balance: Of the natural logarithm of the gains of red and blue.
@@ -57,9 +57,9 @@ class ImageChain:
     """Lens, sensor and image processor of a capsule's cameras as built, in physical order.
 
     `vrcaps.camera_pipeline` converts it to effects, whose classes give the equations. The defaults
-    are those of a generic capsule with a sensor of 320 by 320 pixels. No maker publishes its image
-    chain: they are estimates, fitted so that features, spectrum, radial profile and chroma of
-    rendered frames approach those of WCEBleedGen (MISAHUB) as distributions.
+    are estimates for a generic capsule with a sensor of 320 by 320 pixels, because no manufacturer
+    publishes its image chain. They were fitted so that features, spectrum, radial profile and
+    chroma of rendered frames approach those of WCEBleedGen (MISAHUB) as distributions.
 
     Attributes:
         aperture: Diameter of the entrance pupil [m].

@@ -149,7 +149,7 @@ def changes(flags: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         flags: Values of all groups of flags by name.
 
     Raises:
-        InputError: If a text cannot be read.
+        InputError: If a value cannot be parsed.
         UnknownNameError: If an effect is unknown.
     """
     yield from _patient_changes(flags)

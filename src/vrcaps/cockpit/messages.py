@@ -1,6 +1,6 @@
 """Messages between a browser and the server, as JSON: commands to the server, and its answers.
 
-A command is a text such as ``{"id": 7, "command": "rewind", "snapshot": "1.20 s"}``; its fields
+A command is JSON such as ``{"id": 7, "command": "rewind", "snapshot": "1.20 s"}``; its fields
 are checked here, once, for type and range. An answer has the key `type`. Images are binary: one
 byte that names the image, see `IMAGE_KINDS`, then a JPEG file.
 """
@@ -251,12 +251,12 @@ class SetRendering(Command):
 
 @dataclass(frozen=True)
 class NewDrive(Command):
-    """End the drive, which is saved, and start another one; empty texts stay unchanged.
+    """End the drive, which is saved, and start another one; an empty string keeps a setting.
 
     Attributes:
         organ: Name of a generated organ.
         seed: Seed of the patient.
-        lesions: Short texts of lesions, `prevalence` or `none`.
+        lesions: Lesions as for `--lesion`, `prevalence` or `none`.
         capsule: Name in the catalog; `capsule_file` is a device file instead.
         magnet: Name of the magnet.
         arm: Name of the arm, or `none`.

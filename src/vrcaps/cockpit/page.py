@@ -74,7 +74,7 @@ def parse_command(text: str | bytes, known: Mapping[str, type[Command]]) -> tupl
         raise InputError(f"A command has {len(text)} characters. Allowed: {MAX_COMMAND}.")
     plain = decode_json(text, "The command")
     if not isinstance(plain, dict) or not isinstance(plain.get("command"), str):
-        raise InputError("The message is no command. Allowed: a JSON object with a command.")
+        raise InputError("The message is not a command. Allowed: a JSON object with a command.")
     number, name = plain.pop("id", 0), plain.pop("command")
     if type(number) is not int or not 0 <= number < 2**53:
         raise InputError("id of a command is invalid. Allowed: a whole number from 0.")

@@ -31,7 +31,7 @@ from vrcaps.core.errors import InputError, VrcapsError, nearest
 
 _INFINITE = "inf"
 _MAX_NUMBER = Decimal("1e300")
-_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
+_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a string"}
 
 _SHORTHANDS: dict[type, Callable[[dict[str, Any]], dict[str, Any]]] = {}
 _FAMILIES: dict[type, Mapping[str, type]] = {}

@@ -69,9 +69,9 @@ def check_fields(instance: Any, of: str = "") -> None:
         of: Owner of the fields, for messages.
 
     Raises:
-        InputError: If a value is no number, not whole or out of range; states the field and the
-            allowed values.
-        UnknownNameError: If a text is none of the literals.
+        InputError: If a value is not a number, not an integer or out of range; states the field and
+            the allowed values.
+        UnknownNameError: If a string is none of the literals.
     """
     owner = "" if not of else f"{of}' " if of.endswith("s") else f"{of}'s "
     for name, limit in _limits(type(instance)):
@@ -95,7 +95,7 @@ class _Limit:
         is_whole: Whether they are whole.
         count: Their number in a tuple, 0 for any; None for a single number.
         range_: Range of a single number.
-        known: Allowed texts; empty for any.
+        known: Allowed strings; empty for any.
     """
 
     is_optional: bool
@@ -151,7 +151,7 @@ def _is_number(value: Any, is_whole: bool) -> bool:
 
 
 def _literals(hint: Any) -> tuple[str, ...]:
-    """Texts that a type allows; empty if it allows any."""
+    """Strings that a type allows; empty if it allows any."""
     if get_origin(hint) is Annotated:
         hint = get_args(hint)[0]
     if get_origin(hint) is Literal:

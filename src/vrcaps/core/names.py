@@ -26,11 +26,11 @@ _SYSTEM_FILES = ("thumbs.db", "desktop.ini", "__macosx", "icon\r")
 """Files and folders, in lower case, that Windows and macOS add to a user's folders."""
 
 _DATASET_ID = re.compile(r"((?!data/)[\w-]{2,}/)*[\w-]+-v\d{1,9}", re.ASCII)
-"""Folders of one character are no namespaces for Minari; `data` marks a data set."""
+"""A folder of one character is not a namespace for Minari; `data` marks a data set."""
 
 
 def is_dataset_id(text: str) -> bool:
-    """Return whether a text identifies a Minari data set, such as ``vrcaps/stomach-v0``."""
+    """Return whether a string identifies a Minari data set, such as ``vrcaps/stomach-v0``."""
     return len(text) <= _LONGEST and _DATASET_ID.fullmatch(text) is not None
 
 

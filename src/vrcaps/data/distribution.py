@@ -156,7 +156,7 @@ class Each:
     def check(self, path: str) -> None:
         """Raise InputError if there is no value."""
         if not self.each:
-            raise InputError(f"{path}: each is empty. Allowed: at least one value.")
+            raise InputError(f"{path}: `each` is empty. Allowed: at least one value.")
 
 
 @dataclass(frozen=True)

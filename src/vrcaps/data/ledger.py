@@ -63,7 +63,7 @@ class Entry:
         check_fields(self)
         for name, checksum in self.files.items():
             require_name("file", name)
-            require(isinstance(checksum, str), f"Checksum of {name}", checksum, "a text")
+            require(isinstance(checksum, str), f"Checksum of {name}", checksum, "a string")
         if self.about:
             require_about(self.about)
 

@@ -1,4 +1,4 @@
-"""Patients of an environment: organs by text, and everything that is constant over episodes."""
+"""Patients of an environment: parsed organ names, and everything that is constant over episodes."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
     from vrcaps.lesion import Lesion
 
 Organ = OrganGenerated | OrganFile | OrganSurface | str
-"""An organ, or a text in the syntax of `parse_organs`."""
+"""An organ, or a string in the syntax of `parse_organs`."""
 
 _SEEDS = re.compile(r"(\d{1,9})(?:-(\d{1,9}))?")
 _MAX_SEEDS = 100_000
 
 
 def organs_of(given: Iterable[Organ]) -> Iterator[OrganGenerated | OrganFile | OrganSurface]:
-    """Yield the given organs; a text may name several.
+    """Yield the given organs; a string may name several.
 
     Raises:
-        InputError: If a text cannot be parsed.
+        InputError: If a string cannot be parsed.
     """
     for organ in given:
         if isinstance(organ, str):
@@ -45,7 +45,7 @@ def organs_of(given: Iterable[Organ]) -> Iterator[OrganGenerated | OrganFile | O
 
 
 def parse_organs(text: str) -> list[OrganGenerated | OrganFile]:
-    """Parse a text such as ``stomach``, ``stomach:3``, ``stomach:0-15`` or ``mine.ply:mm``.
+    """Parse a string such as ``stomach``, ``stomach:3``, ``stomach:0-15`` or ``mine.ply:mm``.
 
     Raises:
         InputError: If the part after the colon is neither a seed or seeds, nor a unit of a mesh.

@@ -63,7 +63,7 @@ class Randomization:
         magnet: Moment of the magnets in the capsule.
         focal: Focal length of its cameras; a range is sampled at nine equidistant values.
         effects: Camera effects on image observations; a range of severities is sampled as well.
-            Effects that need other frames or change the wall are not allowed. A text is parsed by
+            Effects that need other frames or change the wall are not allowed. A string is parsed by
             `parse_effects`, such as ``noise=1..3,bloom=2``.
     """
 
@@ -96,7 +96,7 @@ class Randomization:
 
     def sample_effects(self, seed: int) -> Effects:
         """Sample a severity from each range of the effects."""
-        assert not isinstance(self.effects, str)  # the constructor has parsed a text
+        assert not isinstance(self.effects, str)  # the constructor has parsed a string
         return self.effects.sample(seed)
 
     @property

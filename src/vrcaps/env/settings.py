@@ -64,7 +64,7 @@ class EnvSettings:
         actuation: Mapping from actions to the capsule's motion.
         observations: Observations of the agent; each is a key of a dictionary.
         rewards: Terms of the reward; empty for the task's defaults.
-        organs: Patients, one of which is drawn at each reset; a text names an organ, its seeds or
+        organs: Patients, one of which is drawn at each reset; a string names an organ, its seeds or
             a file, such as ``stomach``, ``stomach:0-15`` or ``mine.ply:mm``.
         capsule: Name in the catalog, path of a device file, or a device in memory.
         posture: Posture of the patient.
@@ -127,7 +127,7 @@ class EnvSettings:
                 f"observations are {', '.join(names) or 'empty'}. Allowed: at least one, each once."
             )
         is_grid = min(self.grid) >= 1 and max(self.grid) <= _MAX_CELLS
-        require(is_grid, "grid", self.grid, f"1 to {_MAX_CELLS} cells each way")
+        require(is_grid, "grid", self.grid, f"1 to {_MAX_CELLS} cells along each axis")
 
     def __deepcopy__(self, memo: object) -> EnvSettings:
         """Return itself, since it is immutable and organs in memory are large."""

@@ -95,7 +95,7 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         mask = np.ones(self.num_envs, bool)
         if options and "reset_mask" in options:
             mask = np.asarray(options["reset_mask"], bool)
-            require(mask.shape == (self.num_envs,), "reset_mask", mask, "one value a world")
+            require(mask.shape == (self.num_envs,), "reset_mask", mask, "one value per world")
         seeds = [seed + k for k in range(self.num_envs)] if isinstance(seed, int) else seed
         for index, value in enumerate(seeds or ()):
             if value is not None and mask[index]:

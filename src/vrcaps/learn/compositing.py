@@ -117,7 +117,9 @@ def lesion_pairs(sequences: Sequence[FrameSequence]) -> list[Pair]:
     pairs: dict[str, dict[bool, FrameSequence]] = defaultdict(dict)
     for one in sequences:
         if one.episode is None:
-            raise InputError(f"{one.name} is not a recording. Give one of `vrcaps dataset make`.")
+            raise InputError(
+                f"{one.name} is not a recording. Give a data set of `vrcaps dataset make`."
+            )
         scenario = dict(one.episode.head["scenario"])
         is_clean = bool(scenario.pop("clean_twin", False))
         pairs[json.dumps([scenario, one.name.rpartition("/")[2]])][is_clean] = one

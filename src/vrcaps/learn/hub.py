@@ -311,7 +311,7 @@ def _download(url: str, limit: int) -> bytes:
     except HTTPError as error:
         if error.code == HTTPStatus.NOT_FOUND:
             raise FileNotFoundError(url) from error
-        raise StorageError(f"the server answers {error.code} {error.reason}") from None
+        raise StorageError(f"the server responds {error.code} {error.reason}") from None
     except (OSError, HTTPException, ValueError) as error:
         raise StorageError(reason_of(str(getattr(error, "reason", error)))) from None
     if len(data) > limit:

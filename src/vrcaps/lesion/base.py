@@ -48,7 +48,7 @@ class Setting:
         name: Name of the field.
         words: Allowed named values.
         limits: Limits of a number, a length for the unit "m". None if there are none.
-        is_text: Whether it accepts any text.
+        is_text: Whether it accepts any string.
         is_integer: Whether it accepts integers only.
     """
 
@@ -303,7 +303,7 @@ class Lesion:
     variant: int = 0
 
     kind: ClassVar[str]
-    """Name of the kind in texts, scenarios and records."""
+    """Name of the kind on the command line, in scenarios and in records."""
     grade_field: ClassVar[str] = ""
     """Field given after the hyphen in a name like `polyp-Ip`."""
     grade_scale: ClassVar[str] = ""

@@ -1,4 +1,4 @@
-"""Lesions by name, as short texts, and drawn by prevalence."""
+"""Lesions by name, parsed from strings, and drawn by prevalence."""
 
 from __future__ import annotations
 

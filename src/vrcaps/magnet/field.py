@@ -87,7 +87,7 @@ class SourceSet:
         points = np.ascontiguousarray(points, float)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             raise InputError(
-                f"Points of shape {points.shape}. Allowed: n rows of 3 finite numbers."
+                f"Points have shape {points.shape}. Allowed: n rows of 3 finite numbers."
             )
         flux, gradient, faults = self.core.field(points)
         _check_faults(faults, points)
@@ -107,7 +107,7 @@ class SourceSet:
         """
         poses = np.asarray(Ts_world_capsule, float)
         if poses.shape[-2:] != (4, 4) or not np.isfinite(poses).all():
-            raise InputError(f"Poses of shape {poses.shape}. Allowed: finite 4 x 4 matrices.")
+            raise InputError(f"Poses have shape {poses.shape}. Allowed: finite 4 x 4 matrices.")
         batch = poses.shape[:-2]
         poses = poses.reshape(-1, 4, 4)
         quaternions = quaternion_from_matrix(poses[:, :3, :3])

@@ -130,7 +130,7 @@ def _read_npz(path: Path) -> tuple[list[np.ndarray], np.ndarray, _Units]:
             "units, such as x_mm and flux_density_mT."
         ) from error
     except ValueError as error:
-        raise InputError(f"{path} is no NPZ file of numbers: {error}.") from error
+        raise InputError(f"{path} is not an NPZ file of numbers: {error}.") from error
     shape = tuple(axis.size for axis in axes)
     if values.shape != (*shape, 3):
         raise InputError(

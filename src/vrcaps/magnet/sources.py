@@ -221,7 +221,7 @@ class FieldMap:
         shape = np.shape(self.flux_density)
         if len(shape) != 4 or shape[3] != 3 or min(shape[:3]) < _MIN_POINTS:
             raise InputError(
-                f"A field map of shape {shape}. Allowed: nx ny nz 3, {_MIN_POINTS} or more "
+                f"A field map has shape {shape}. Allowed: [nx ny nz 3], {_MIN_POINTS} or more "
                 "points along each axis."
             )
         if not np.isfinite(self.flux_density).all():

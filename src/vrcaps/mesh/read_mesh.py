@@ -85,14 +85,14 @@ def _check_mesh(mesh: Mesh, path: Path) -> None:
     bad = ~np.isfinite(mesh.vertices).all(axis=1)
     if bad.any():
         raise InputError(
-            f"{path} has {bad.sum()} vertices that are not finite, the first is number "
+            f"{path} has {bad.sum()} vertices that are not finite, first at index "
             f"{np.argmax(bad)}. All coordinates must be finite numbers."
         )
     bad = ((mesh.faces < 0) | (mesh.faces >= len(mesh.vertices))).any(axis=1)
     if bad.any():
         first = int(np.argmax(bad))
         raise InputError(
-            f"{path} has {bad.sum()} faces with indices out of range, the first is number {first}: "
+            f"{path} has {bad.sum()} faces with vertex indices out of range, first face {first}: "
             f"{mesh.faces[first].tolist()}. Allowed: 0 to {len(mesh.vertices) - 1}."
         )
 

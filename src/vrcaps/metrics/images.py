@@ -160,8 +160,8 @@ def highlights(
 
     if valid.shape != rgb.shape[:2] or not valid.any():
         raise InputError(
-            f"The mask has shape {valid.shape} and {int(valid.sum())} pixels; allowed: "
-            f"{rgb.shape[:2]} and some."
+            f"The mask has shape {valid.shape} and {int(valid.sum())} pixels set. Allowed: shape "
+            f"{rgb.shape[:2]} and at least one pixel."
         )
     is_highlight = (linear_from_srgb(rgb).min(axis=-1) >= _HIGHLIGHT) & valid
     index = np.empty(valid.shape, np.int32)

@@ -82,7 +82,7 @@ def fit_similarity(
     covariance = (target - goal).T @ (source - center) / len(source)
     u, d, vt = np.linalg.svd(covariance)
     if d[1] <= 1e-12 * d[0]:  # eq. 43 needs a rank of at least 2
-        raise InputError("The positions lie on one line, so they fix no rotation to align by.")
+        raise InputError("The positions are collinear, so they do not determine a rotation.")
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
     rotation = u * sign @ vt
     variance = np.mean(np.sum((source - center) ** 2, axis=1))

@@ -129,13 +129,13 @@ def _meters_per_uv(organ: OrganSurface) -> tuple[float, float]:
     is_charted = (determinant != 0.0) & (area > 0.0)
     if area[is_charted].sum() < 0.5 * area.sum() or not is_charted.any():
         raise InputError(
-            f"Texture coordinates of {organ.name} give no area to most of its wall; "
-            "make new ones for it."
+            f"Texture coordinates of {organ.name} have zero area on most of its wall. "
+            "Give new ones."
         )
     if 0.5 * np.abs(determinant).sum() > 1.001:
         raise InputError(
-            f"Texture coordinates of {organ.name} cover the unit square more than once: places "
-            "of the wall share texels; make new ones without overlap."
+            f"Texture coordinates of {organ.name} overlap, so that parts of the wall share texels. "
+            "Give coordinates without overlap."
         )
     weight = area * is_charted / np.where(is_charted, determinant, 1.0)
     along_u = np.linalg.norm(edges[:, 0] * dv2[:, None] - edges[:, 1] * dv1[:, None], axis=1)

@@ -40,7 +40,7 @@ class OrganSegments:
     """An organ and its segments.
 
     Attributes:
-        name: Name in texts, flags and keys.
+        name: Name in messages, flags and keys.
         segments: Segments from the oral to the anal end.
         fractions: Fractions of its length by segment, for a wall with a single label.
     """

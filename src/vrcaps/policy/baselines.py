@@ -114,7 +114,7 @@ class RandomPolicy:
     """Random walk at constant speed, independent of observations.
 
     Random forces would not be a useful baseline: with inertia they throw the capsule about. For an
-    actuation that the servo cannot drive, actions are drawn uniformly from the action space.
+    actuation that the servo does not support, actions are sampled uniformly from the action space.
     """
 
     requires = Requirements()

@@ -213,7 +213,9 @@ class Drive:
             self._base = memory["arm/base"][index] - origin
             box = actuation.box + self._base
         else:
-            raise InputError(f"The explorer cannot drive {actuation.kind!r}. Allowed: magnet, arm.")
+            raise InputError(
+                f"The explorer does not support {actuation.kind!r}. Allowed: magnet, arm."
+            )
         magnet = read_magnet(actuation.magnet)
         self._controller = ForceController(view.device, magnet, box, R_world_capsule)
         self._controller.unlimited_decrease, self._controller.max_lead_angle = 1.0, _LEAD

@@ -96,7 +96,7 @@ class MlpPolicy:
         size = output.shape[1]
         if (count or int(np.prod(space.shape or ()))) != size:
             raise InputError(
-                f"The policy gives {size} numbers for an action; the environment takes {space}. "
+                f"The policy outputs {size} numbers per action; the environment takes {space}. "
                 "Use the actuation that it was trained with."
             )
         if count is not None:

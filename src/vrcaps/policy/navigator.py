@@ -290,5 +290,7 @@ def _magnet_of(view: EnvView) -> MagnetActuation:
     """
     actuation = view.actuation
     if not isinstance(actuation, MagnetActuation):
-        raise InputError(f"The navigator cannot drive {actuation.kind!r}. Allowed: magnet.")
+        raise InputError(
+            f"The navigator does not support actuation {actuation.kind!r}. Allowed: magnet."
+        )
     return actuation

@@ -63,7 +63,7 @@ def servo_actions(view: EnvView, goal: Goal) -> np.ndarray:
     """Return the actions of all worlds for the next control period.
 
     Raises:
-        InputError: If it cannot drive the environment's actuation.
+        InputError: If it does not support the environment's actuation.
     """
     actuation = view.actuation
     twist = wanted_twist(view, goal)
@@ -72,7 +72,7 @@ def servo_actions(view: EnvView, goal: Goal) -> np.ndarray:
     if isinstance(actuation, MagnetActuation):
         return _magnet(view, actuation, *twist)
     raise InputError(
-        f"The servo cannot drive {actuation.kind!r}. Allowed: {', '.join(SERVO_ACTUATIONS)}."
+        f"The servo does not support {actuation.kind!r}. Allowed: {', '.join(SERVO_ACTUATIONS)}."
     )
 
 

@@ -147,7 +147,7 @@ class Scenario:
             fly-through, turbid fluid, film on the dome) are drawn by their prevalence in a
             generated organ; otherwise the lumen is empty and the others have fixed defaults.
         effects: Effects of lens and sensor; None for an effect is the capsule's own, and a range
-            is sampled to one severity by the seed. A file can also contain a text as of
+            is sampled to one severity by the seed. A file can also contain a string as of
             `parse_effects`, such as none.
         sensors: Further measurements in each frame: motion, magnetic field and position of the
             capsule.
@@ -229,7 +229,7 @@ def read_plain_scenario(path: str | Path) -> Any:
 
 
 def _with_effects_of_text(plain: Any) -> Any:
-    """Scenario whose effects, if they are a text such as `none`, are the table of that text."""
+    """Scenario whose effects, if given as a string such as `none`, are parsed into a table."""
     if isinstance(plain, dict) and isinstance(text := plain.get("effects"), str):
         return {**plain, "effects": to_plain(parse_effects(text), Effects)}
     return plain
@@ -279,7 +279,7 @@ def parse_lesions(
         organ: Name or file of the organ that receives them; the table is for the colon.
 
     Raises:
-        InputError: If a text or the file cannot be read, or the table is for another organ.
+        InputError: If a lesion or the file cannot be read, or the table is for another organ.
         UnknownNameError: If a lesion or a key is unknown.
     """
     if source == PREVALENCE:

@@ -42,7 +42,9 @@ class HallArray:
     def __post_init__(self) -> None:
         shape = np.shape(self.positions_world)
         if len(shape) != 2 or shape[1] != 3 or not np.isfinite(self.positions_world).all():
-            raise InputError(f"Sensors of shape {shape}. Allowed: n rows of 3 finite numbers [m].")
+            raise InputError(
+                f"Sensors have shape {shape}. Allowed: n rows of 3 finite numbers [m]."
+            )
         for name in ("noise", "resolution"):
             value = getattr(self, name)
             require(0.0 <= value < np.inf, f"HallArray {name}", value, "0 or more")
@@ -170,7 +172,7 @@ def localize(
     positions = np.asarray(array.positions_world, float)
     readings = (np.asarray(readings, float) - array.offset) / array.gain
     if readings.shape != positions.shape:
-        raise InputError(f"Readings of shape {readings.shape}. Allowed: {positions.shape}, 3 each.")
+        raise InputError(f"Readings have shape {readings.shape}. Allowed: {positions.shape}.")
     if np.isfinite(readings).sum() < _MIN_READINGS:
         raise InputError(
             f"{np.isfinite(readings).sum()} finite readings. Allowed: {_MIN_READINGS} or more; the "

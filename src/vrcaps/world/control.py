@@ -82,7 +82,7 @@ class Control:
             np.ndim(self.strengths) == 1 and np.isfinite(self.strengths).all()
         ):
             raise InputError(
-                f"Control's strengths are {self.strengths}. Allowed: a finite number a source."
+                f"Control's strengths are {self.strengths}. Allowed: a finite number per source."
             )
 
 

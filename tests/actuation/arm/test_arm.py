@@ -208,18 +208,20 @@ def test_out_of_reach_is_no_angles(panda):
 
 def test_no_closed_form_says_what_to_use(panda, six_joints):
     assert panda.core.has_closed_form
-    with pytest.raises(InputError, match=r"Arm six is not built like the Panda.*Use nearest\(\)"):
+    with pytest.raises(
+        InputError, match=r"Arm six has no closed-form inverse kinematics.*Use nearest\(\)"
+    ):
         inverse(six_joints, np.eye(4), 0.0)
     joints = (replace(panda.joints[0], a=0.1), *panda.joints[1:])
     assert not replace(panda, joints=joints).core.has_closed_form
 
 
 def test_angles_and_poses_must_fit(panda):
-    with pytest.raises(InputError, match=r"Angles of shape \(6,\) for arm panda\. Allowed: 7"):
+    with pytest.raises(InputError, match=r"Angles for arm panda have shape \(6,\)\. Allowed: 7"):
         forward(panda, np.zeros(6))
-    with pytest.raises(InputError, match=r"Angles of shape \(7,\) for arm panda"):
+    with pytest.raises(InputError, match=r"Angles for arm panda have shape \(7,\)"):
         forward(panda, np.full(7, np.nan))
-    with pytest.raises(InputError, match=r"Poses of shape \(3, 3\)\. Allowed: finite 4 x 4"):
+    with pytest.raises(InputError, match=r"Poses have shape \(3, 3\)\. Allowed: finite 4 x 4"):
         nearest(panda, np.eye(3), np.array(panda.home))
 
 
@@ -250,15 +252,15 @@ MASS, NEXT = "[[masses]]\nframe = 2\n", "mass_kg = 1\n"
         ("a_mm = -425", "a_mm = true", "six.toml: joints[2].a_mm is True. Allowed: a number."),
         ("payload_kg = 5", "payload_kg = 0", "six.toml: payload is 0.0. Allowed: above 0"),
         ("title =", "subtitle =", "six.toml: unknown key subtitle. Allowed: name, title, joints"),
-        ('title = "An arm of six joints"', "", "six.toml: missing key title: a text."),
-        ("title =", 'name = "x"\ntitle =', "Unknown key six.toml: name. The arm is named as"),
+        ('title = "An arm of six joints"', "", "six.toml: missing key title: a string."),
+        ("title =", 'name = "x"\ntitle =', "Unknown key six.toml: name. The name of an arm"),
         (
             "upper_rad = 6.2",
             "upper_rad = -7",
             "joints[0]: upper is -7. Allowed: above lower, -6.2 rad.",
         ),
         ("torque_nm = 150", "torque_nm = 0", "joints[0]: torque is 0.0. Allowed: above 0"),
-        ("home_deg = [0, -90,", "home_deg = [-90,", "6 joints, 5 home angles."),
+        ("home_deg = [0, -90,", "home_deg = [-90,", "6 joints, but 5 home angles."),
         ("home_deg = [0,", "home_deg = [360,", "home angle of joint 1 is outside its limits."),
         (
             "home_deg",

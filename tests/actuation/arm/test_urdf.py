@@ -142,7 +142,9 @@ def test_entities_are_refused_in_any_encoding(tmp_path):
     text = '<?xml version="1.0" encoding="UTF-16"?><!DOCTYPE robot [<!ENTITY x "two">]>'
     path = tmp_path / "two.urdf"
     path.write_bytes((text + CHAIN.replace('name="two"', 'name="&x;"', 1)).encode("utf-16"))
-    with pytest.raises(InputError, match=r"two\.urdf: it is no URDF\. Allowed: .* without DOCTYPE"):
+    with pytest.raises(
+        InputError, match=r"two\.urdf: it is not a URDF file\. Allowed: .* without DOCTYPE"
+    ):
         read_arm(path)
 
 
@@ -213,8 +215,8 @@ def test_settings_of_a_toml_file_and_in_a_scenario(tmp_path):
             r"ixx to izz -1, .* no negative principal moment",
         ),
         ("</robot>", "", r"Cannot read the URDF file"),
-        ("robot", "sdf", r"is no URDF\. Allowed: the element <robot>"),
-        ('<robot name="two">', "<!DOCTYPE x><robot>", r"is no URDF\. .*without DOCTYPE"),
+        ("robot", "sdf", r"is not a URDF file\. Allowed: the element <robot>"),
+        ('<robot name="two">', "<!DOCTYPE x><robot>", r"is not a URDF file\. .*without DOCTYPE"),
         (CHAIN, '<robot name="none"/>', "contains no links"),
     ],
 )

@@ -201,5 +201,5 @@ def test_damaged_scenes(written, tmp_path):
     image = (written / "test/000000/rgb/000000.png").read_bytes()
     (tmp_path / "000000/rgb").mkdir()
     (tmp_path / "000000/rgb/000000.png").write_bytes(image)
-    with pytest.raises(InputError, match="is not as BOP's: '0' is missing"):
+    with pytest.raises(InputError, match="is not a BOP file: '0' is missing"):
         Bop().read(tmp_path)

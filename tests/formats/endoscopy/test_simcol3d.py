@@ -138,7 +138,7 @@ def test_what_does_not_fit_is_one_clear_line(sequence, tmp_path):
         ("cam.txt", "a", "Cannot read"),
         ("Frames_S1/Depth_0002.png", None, "and 0 more frames lack a file of depth"),
         ("Frames_S1/FrameBuffer_0.png", "", "have the same number"),
-        ("Frames_S1/FrameBuffer_x.png", "", "has no number of a frame"),
+        ("Frames_S1/FrameBuffer_x.png", "", "has no frame number"),
     ],
 )
 def test_damage_is_one_clear_line(sequence, tmp_path, path, text, match):

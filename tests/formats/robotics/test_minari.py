@@ -137,10 +137,12 @@ def test_what_cannot_be_exported_is_one_line(pinhole_episode, tmp_path):
         both = [sequence, replace(sequence, split="val", episode=other)]
         export(Minari(), both, tmp_path / "out")
     short = replace(pinhole_episode, head={**pinhole_episode.head, "frames": 1})
-    with pytest.raises(InputError, match=r"tube has 1 frame\. Allowed in a Minari data set: 2"):
+    with pytest.raises(InputError, match=r"tube has 1 frame\. A Minari data set requires 2"):
         export(Minari(), [replace(sequence, episode=short)], tmp_path / "out")
     with pytest.raises(InputError, match="minari requires the channel 'rgb'"):
         export(Minari(images=True), [sequence.with_channels(("depth",))], tmp_path / "out")
-    with pytest.raises(InputError, match=r"no frame sequence\. Read it by minari\.MinariDataset"):
+    with pytest.raises(
+        InputError, match=r"not a frame sequence\. Read it by minari\.MinariDataset"
+    ):
         read_sources([f"minari:{tmp_path}"])
     assert not (tmp_path / "out").exists()

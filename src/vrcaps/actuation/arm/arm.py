@@ -50,7 +50,7 @@ def read_arm(given: str | Path | Arm) -> Arm:
     if isinstance(plain, dict) and "urdf" in plain:
         return _from_urdf({**plain, "urdf": str(path.parent / str(plain["urdf"]))}, path)
     if "name" in plain:
-        raise InputError(f"Unknown key {path.name}: name. The arm is named as its file.")
+        raise InputError(f"Unknown key {path.name}: name. The name of an arm is that of its file.")
     return from_plain(Arm, {"name": path.stem, **plain}, at=f"{path.name}:", units=True)
 
 
@@ -151,8 +151,8 @@ def nearest(
 def _require_closed_form(arm: Arm) -> None:
     if not arm.core.has_closed_form:
         raise InputError(
-            f"Arm {arm.name} is not built like the Panda, so its inverse has no closed form here. "
-            "Use nearest(), which solves it step by step."
+            f"Arm {arm.name} has no closed-form inverse kinematics, unlike the Panda. "
+            "Use nearest(), which solves it iteratively."
         )
 
 
@@ -160,8 +160,8 @@ def _checked(arm: Arm, angles: np.ndarray) -> np.ndarray:
     angles = np.ascontiguousarray(angles, float)
     if angles.shape[-1:] != (arm.num_joints,) or not np.isfinite(angles).all():
         raise InputError(
-            f"Angles of shape {angles.shape} for arm {arm.name}. "
-            f"Allowed: {arm.num_joints} finite angles [rad], with batch axes before."
+            f"Angles for arm {arm.name} have shape {angles.shape}. "
+            f"Allowed: {arm.num_joints} finite angles [rad] along the last axis."
         )
     return angles
 
@@ -169,5 +169,5 @@ def _checked(arm: Arm, angles: np.ndarray) -> np.ndarray:
 def _poses(poses: np.ndarray) -> np.ndarray:
     poses = np.ascontiguousarray(poses, float)
     if poses.shape[-2:] != (4, 4) or not np.isfinite(poses).all():
-        raise InputError(f"Poses of shape {poses.shape}. Allowed: finite 4 x 4 matrices.")
+        raise InputError(f"Poses have shape {poses.shape}. Allowed: finite 4 x 4 matrices.")
     return poses.reshape(-1, 4, 4)

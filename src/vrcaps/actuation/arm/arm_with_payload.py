@@ -162,7 +162,7 @@ def solve_joint_angles(
     height = robot.core.lowest(np.asarray(T_world_magnet, float))
     if table is not None and height < table:
         raise InputError(
-            f"The magnet would be {(table - height) * 1e3:.1f} mm in the table. "
+            f"The magnet would penetrate the table by {(table - height) * 1e3:.1f} mm. "
             f"Allowed: its lowest point at a height of {table:g} m or more."
         )
     home = np.array(robot.arm.home if near is None else near)
@@ -184,7 +184,7 @@ def _check_clear(robot: ArmWithPayload, angles: np.ndarray) -> None:
         row, kind = np.unravel_index(np.argmin(clear), clear.shape)
         what = ("itself", "the table")[int(kind)]
         raise InputError(
-            f"Pose {row}: arm {robot.arm.name} touches {what}, {-1e3 * clear.min():.1f} mm deep. "
+            f"Pose {row}: arm {robot.arm.name} penetrates {what} by {-1e3 * clear.min():.1f} mm. "
             "Choose another pose, or start from other angles."
         )
 
@@ -244,7 +244,7 @@ def limit_utilization(
 ) -> Float[np.ndarray, "3 j"]:
     """Maximum speed, acceleration and jerk of each joint as fractions of its limits.
 
-    Computed from differences of angles `dt` apart, as a controller of that rate sees them; values
+    Computed from finite differences of angles at intervals of `dt`; values
     above 1 exceed the limits. Needs four or more angles. The start of a motion is included only if
     the angles include rest before it.
 
@@ -253,7 +253,7 @@ def limit_utilization(
     """
     _require_time(dt)
     if len(angles) < 4:
-        raise InputError(f"{len(angles)} angles have no jerk. Allowed: 4 or more.")
+        raise InputError(f"Jerk is not defined for {len(angles)} angles. Allowed: 4 or more.")
     limits = np.array([[j.velocity, j.acceleration, j.jerk] for j in arm.joints]).T
     peaks = [np.abs(np.diff(angles, n=n, axis=0)).max(axis=0) / dt**n for n in (1, 2, 3)]
     return np.array(peaks) / limits

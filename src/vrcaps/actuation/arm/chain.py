@@ -164,7 +164,7 @@ class Arm:
         require(self.payload > 0.0, "payload", self.payload, "above 0 kg")
         n = len(self.joints)
         if n == 0 or len(self.home) != n:
-            raise InputError(f"Arm {self.name}: {n} joints, {len(self.home)} home angles.")
+            raise InputError(f"Arm {self.name}has {n} joints, but {len(self.home)} home angles.")
         inside = [j.lower <= q <= j.upper for j, q in zip(self.joints, self.home, strict=True)]
         if not all(inside):
             raise InputError(

@@ -78,9 +78,9 @@ def arm_from_urdf(settings: UrdfArm, *, name: str) -> Arm:
     <inertial> elements of the links from base to tool; other branches do not count.
 
     Raises:
-        InputError: If the file is no URDF, has closed loops, the chain contains other joints than
-            revolute, continuous and fixed ones, a limit or mesh is missing, a link is unknown, or
-            an inertia is impossible.
+        InputError: If the file is not a URDF, has closed loops, the chain contains other joints
+            than revolute, continuous and fixed ones, a limit or mesh is missing, a link is unknown,
+            or an inertia is impossible.
         MissingExtraError: If yourdfpy is not installed.
     """
     path = Path(settings.urdf)
@@ -122,7 +122,9 @@ def _robot(path: Path) -> Any:
     with reading(f"the URDF file {path}"):
         data = path.read_bytes()  # yourdfpy would repair what is not XML, and expand entities
         if ElementTree.fromstring(data, ElementTree.XMLParser(target=_Plain())).tag != "robot":
-            raise InputError(f"{path} is no URDF. Allowed: the element <robot>, without DOCTYPE.")
+            raise InputError(
+                f"{path} is not a URDF file. Allowed: the element <robot>, without DOCTYPE."
+            )
         robot = yourdfpy.URDF.load(str(path), build_scene_graph=False, load_meshes=False).robot
     if not robot.links:
         raise InputError(f"{path} contains no links. Give a URDF file of a robot.")
@@ -134,7 +136,7 @@ class _Plain(ElementTree.TreeBuilder):
 
     def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
         """Refuse definitions of entities, before one is expanded."""
-        raise ValueError("it is no URDF. Allowed: the element <robot>, without DOCTYPE")
+        raise ValueError("it is not a URDF file. Allowed: the element <robot>, without DOCTYPE")
 
 
 def _chain(path: Path, robot: Any, settings: UrdfArm) -> list[Any]:
@@ -282,8 +284,8 @@ def _masses(path: Path, robot: Any, offsets: _Offsets) -> tuple[LinkMass, ...]:
             masses.append(LinkMass(frame, mass, at, inertia))
         except InputError as error:
             raise InputError(
-                f"{path}: <inertial> after {frame} joints: {error} Mend it, or give masses = false "
-                "in a TOML file with urdf."
+                f"{path}: <inertial> after {frame} joints: {error} Correct it, or give "
+                "masses = false in a TOML file with urdf."
             ) from error
     return tuple(masses)
 
@@ -307,7 +309,7 @@ def _mass_of(
         raise InputError(
             f"{path}: <inertial> of link {link.name} has mass {mass:g}, ixx to izz {rows}. "
             f"Allowed: a mass above 0, numbers up to {_MAX_NUMBER:g}, no negative principal "
-            "moment. Mend it, or give masses = false in a TOML file with urdf."
+            "moment. Correct it, or give masses = false in a TOML file with urdf."
         )
     turn = pose[:3, :3]
     return mass, pose[:3, 3], turn @ tensor @ turn.T

@@ -108,7 +108,7 @@ class AutoExposure(ImageEffect):
 
     With a time constant of 0 the loop has settled in every frame: m is the target, within the
     limits, and frames are independent of each other. This is the default of a capsule (an
-    assumption: no maker publishes the time constant of its light control). A loop leaves the
+    assumption: no manufacturer publishes the time constant of its light control). A loop leaves the
     exposure as it is while the error is small; that remainder is a log-normal factor on the target,
     which changes over 20 mm of the gut.
 

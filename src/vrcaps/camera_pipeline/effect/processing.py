@@ -69,7 +69,7 @@ class ColorMatrix(ImageEffect):
     """Matrix that converts the sensor's balanced linear colors to those of the image.
 
     The renderer's colors are those of an ideally corrected sensor, so this is the residual error
-    and the saturation of the maker's matrix. Rows that sum to 1 keep gray.
+    and the saturation of the manufacturer's matrix. Rows that sum to 1 keep gray.
 
     Attributes:
         matrix: Rows of red, green and blue; each value between -4 and 4.

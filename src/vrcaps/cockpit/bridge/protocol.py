@@ -138,7 +138,9 @@ def _plain(value: Any) -> Any:
 def _text(plain: dict[str, Any], name: str) -> str | None:
     given = plain.get(name)
     if given is not None and not (isinstance(given, str) and len(given) <= 200):
-        raise InputError(f"{name} is {shortened(given)}. Allowed: a text of up to 200 characters.")
+        raise InputError(
+            f"{name} is {shortened(given)}. Allowed: a string of up to 200 characters."
+        )
     return given
 
 

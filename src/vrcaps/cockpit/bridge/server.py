@@ -316,7 +316,7 @@ def serving(server: BridgeServer, host: str, port: int, origins: Sequence[str]) 
         "max_size": _MAX_MESSAGE,
         "logger": logging.Logger(
             "vrcaps.cockpit.bridge", logging.CRITICAL + 1
-        ),  # refusals are no news
+        ),  # a rejection is not news
         "compression": None,
     }
 

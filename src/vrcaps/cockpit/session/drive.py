@@ -159,7 +159,7 @@ class Choice:
     Attributes:
         organ: Name of a generated organ, or a file.
         seed: Seed of the patient.
-        lesions: Short texts separated by spaces, `prevalence` for as many as in a screening
+        lesions: Names separated by spaces, `prevalence` for as many as in a screening
             patient has, or `none`.
         capsule: Name in the catalog, or a device file.
         contents: Severities by name, see `CONTENTS`.
@@ -237,7 +237,7 @@ def chosen_scenario(scenario: Scenario, choice: Choice) -> Scenario:
         choice: Changes to it.
 
     Raises:
-        InputError: If a text or a device file cannot be read, or a value is invalid.
+        InputError: If a lesion or a device file cannot be read, or a value is invalid.
         UnknownNameError: If a name of a lesion, capsule or generator is unknown.
     """
     changed: dict[str, Any] = {"organ": _organ(scenario, choice)}

@@ -25,7 +25,7 @@ export function setDisabled(node, isDisabled) {
   if (node.disabled !== isDisabled) node.disabled = isDisabled;
 }
 
-/** Options of a list: texts, or objects with value and label; the choice stays if it can. */
+/** Options of a list: strings, or objects with value and label; keeps the selection if it still exists. */
 export function fillSelect(select, options, chosen = select.value) {
   const wanted = options.map((each) => (typeof each === "object" ? each : { value: each, label: labelOf(each) }));
   const key = JSON.stringify(wanted);

@@ -118,7 +118,7 @@ export class Gamepads {
     this.keep(pad, layout);
   }
 
-  /** Name, layout as texts and the control that waits for assignment. */
+  /** Name, layout as strings and the control that waits for assignment. */
   describe() {
     const pad = this.pad;
     if (!pad) return { name: "", layout: {}, listening: "", isKnown: true };

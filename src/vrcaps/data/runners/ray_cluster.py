@@ -213,7 +213,7 @@ def _outcome(
     except ray.exceptions.RayTaskError as error:
         reason = str(error).strip().splitlines()[-1]
         raise InputError(
-            f"A worker of Ray cannot run vrcaps: {reason}. Every machine of the cluster needs the "
+            f"A Ray worker cannot run vrcaps: {reason}. Every machine of the cluster needs the "
             "same version of vrcaps, and the folder in which this command was given."
         ) from error
     except ray.exceptions.RayError as error:

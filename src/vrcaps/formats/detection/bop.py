@@ -315,7 +315,7 @@ def _read_scene(place: Path, split: str | None) -> FrameSequence:
             truth = [truths.get(str(image_id), []) for image_id in image_ids]
             readers["instance"] = partial(_read_instance, place / "mask_visib", paths["rgb"], truth)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{place / _CAMERA} is not as BOP's: {error} is missing.") from error
+        raise InputError(f"{place / _CAMERA} is not a BOP file: {error} is missing.") from error
     camera = camera_of(lens, paths["rgb"][0])
     load = partial(_load, readers)
     name = "/".join(place.parts[-2:])

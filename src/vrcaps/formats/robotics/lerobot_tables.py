@@ -243,7 +243,7 @@ def write_frames(
 
 
 def write_tasks(path: Path, tasks: Sequence[str]) -> None:
-    """Write the tasks; pandas reads their texts as row names."""
+    """Write the tasks; pandas reads their strings as row names."""
     import pyarrow as pa
 
     text = {"pandas_type": "unicode", "numpy_type": "object", "metadata": None}

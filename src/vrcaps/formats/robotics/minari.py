@@ -97,7 +97,7 @@ class Minari:
             InputError: Always; it states the reader.
         """
         raise InputError(
-            f"Data sets of Minari hold no cameras, so {folder} is no frame sequence. Read it by "
+            f"Minari data sets have no cameras, so {folder} is not a frame sequence. Read it by "
             f"minari.MinariDataset({str(folder / 'data')!r})."
         )
 
@@ -140,7 +140,7 @@ class Minari:
         for recording in given:
             if len(_episode(recording)) < 2:
                 raise InputError(
-                    f"{recording[1]} has 1 frame. Allowed in a Minari data set: 2 or more."
+                    f"{recording[1]} has 1 frame. A Minari data set requires 2 or more."
                 )
         first = self._layout(given[0])
         for recording in given[1:]:

@@ -142,7 +142,7 @@ class _Bag:
 
 
 def _message_kind(field: Any) -> str:
-    """Type of the messages in a field, or in its sequence; empty for numbers and texts."""
+    """Type of the messages in a field, or in its sequence; empty for numbers and strings."""
     inner = field[1]
     while isinstance(inner, tuple) and isinstance(inner[0], tuple):  # a sequence or an array
         inner = inner[0][1]

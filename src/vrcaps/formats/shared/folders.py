@@ -163,7 +163,7 @@ def by_number(paths: Iterable[Path]) -> dict[int, Path]:
     for path in paths:
         indices = _NUMBER.findall(path.stem)
         if not indices:
-            raise InputError(f"{path} has no number of a frame in its name.")
+            raise InputError(f"{path} has no frame number in its name.")
         if files.setdefault(int(indices[-1]), path) != path:
             raise InputError(f"{path} and {files[int(indices[-1])].name} have the same number.")
     return dict(sorted(files.items()))

@@ -162,7 +162,7 @@ def _read_file(root: Path, split: str | None) -> list[FrameSequence]:
             _read_group(root, split, content, folder, frames) for folder, frames in groups.items()
         ]
     except (KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{where} is not as nerfstudio's: {error} is missing.") from error
+        raise InputError(f"{where} is not a nerfstudio file: {error} is missing.") from error
 
 
 def _read_group(

@@ -262,7 +262,7 @@ class _Problem:
         values, rotation = np.linalg.svd(scaled, full_matrices=False)[1:]
         if not values[-1] > _SINGULAR * values[0]:
             raise InputError(
-                "The photographs fix no lens: the board is always at the same tilt. "
+                "The photographs do not determine the lens: the board is always at the same tilt. "
                 "Allowed: some tilted by 20° to 45° to different sides."
             )
         knee = HUBER * 1.4826 * np.median(np.abs(residuals))

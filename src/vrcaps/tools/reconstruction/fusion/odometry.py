@@ -104,7 +104,7 @@ def estimated_poses(
         most = max((len(view.rays) for view in views), default=0)
         raise InputError(
             f"No two of {count} frames of {sequence.name} overlap: too few features "
-            f"match (at most {most} a frame). Give frames that overlap more."
+            f"match (at most {most} per frame). Give frames that overlap more."
         )
     pairs = [pair for pair in pairs if pair.first in frames]
     _, chain = chained(count, frames, pairs, lambda pair: pair.T_second_first)

@@ -118,8 +118,8 @@ def stitch(
         most = max((len(one.points) for one in features), default=0)
         raise InputError(
             f"No two of {len(images)} frames of {sequence.name} can be stitched: too few features "
-            f"match (at most {most} a frame). Give frames that overlap more (--every), or --method "
-            "fusion."
+            f"match (at most {most} per frame). Give frames that overlap more (--every), or "
+            "--method fusion."
         )
     size = (camera.width, camera.height)
     reference, homographies = chained_homographies(len(images), component, pairs)

@@ -57,7 +57,11 @@ FRAMES = 16
 ABLATIONS = {
     "no image chain": ("--effects", "none,ae=settled"),
     "open lumen": ("--distension", "normal"),
-    "no villi": ("--set", "organ.mucosa.pit_slope=0", "--set", "organ.mucosa.pit_shade=0"),
+    "no villi": tuple(
+        word
+        for name in ("organ.mucosa.pit_slope", "organ.mucosa.pit_shade", "render.villi")
+        for word in ("--set", f"{name}=0")
+    ),
     "no contents": tuple(
         word for kind in ("bubbles", "medium", "film") for word in ("--set", f"contents.{kind}=0")
     ),

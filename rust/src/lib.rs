@@ -54,6 +54,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(render::batch::render_batch, m)?)?;
     m.add_function(wrap_pyfunction!(render::forward_scatter::scatter_forward, m)?)?;
     m.add_function(wrap_pyfunction!(render::medium::immerse, m)?)?;
+    m.add_function(wrap_pyfunction!(render::villi::raise_villi, m)?)?;
     m.add_function(wrap_pyfunction!(render::path::subsurface::walk_tissue, m)?)?;
     m.add_function(wrap_pyfunction!(render::channels::encode_srgb, m)?)?;
     m.add_function(wrap_pyfunction!(mesh::texels::covered_texels, m)?)?;

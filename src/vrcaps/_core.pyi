@@ -413,6 +413,14 @@ def scatter_forward(
     fraction: NDArray[np.float32],
     sigma: float,
 ) -> None: ...
+def raise_villi(
+    planes: NDArray[np.float32],
+    seen: tuple[NDArray[Any], ...],
+    wall: tuple[NDArray[np.float64], NDArray[np.int64]],
+    lengths: Sequence[float],
+    spacing: float,
+    focal: float,
+) -> None: ...
 def covered_texels(
     corners: NDArray[np.float64], margin: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]: ...

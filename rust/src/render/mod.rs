@@ -19,3 +19,4 @@ pub mod shading;
 pub mod texture;
 pub mod tile;
 pub mod view;
+pub mod villi;

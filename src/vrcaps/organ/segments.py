@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Literal, TypeVar, get_args
 
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.units import MM
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,7 @@ class Segment:
         pits: Factor on the pits or villi of the mucosa.
         bile: Factor on the bile.
         vessels: Factor on the vessels.
+        villi: Mean length of villi that stands out over their neighbors [m], 0 for none.
     """
 
     label: str
@@ -33,6 +35,7 @@ class Segment:
     pits: float = 1.0
     bile: float = 1.0
     vessels: float = 1.0
+    villi: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -122,16 +125,17 @@ SMALL_BOWEL = declare_organ(
     OrganSegments(
         "small-bowel",
         (
-            Segment("duodenal_bulb", "small-bowel", "duodenum", pits=0.6, bile=1.2, vessels=0.8),
-            Segment("duodenum", "small-bowel", "duodenum", bile=1.5, vessels=0.3),
-            Segment("jejunum", "small-bowel", "jejunum", pits=1.1, bile=1.1, vessels=0.4),
-            Segment("ileum", "small-bowel", "ileum", pits=0.6, bile=0.7, vessels=1.3),
+            Segment("duodenal_bulb", "small-bowel", "duodenum", 0.6, 1.2, 0.8, 0.3 * MM),
+            Segment("duodenum", "small-bowel", "duodenum", 1.0, 1.5, 0.3, 0.45 * MM),
+            Segment("jejunum", "small-bowel", "jejunum", 1.1, 1.1, 0.4, 0.5 * MM),
+            Segment("ileum", "small-bowel", "ileum", 0.6, 0.7, 1.3, 0.35 * MM),
         ),
         {"jejunum": 0.4, "ileum": 0.6},
     )
 )
 """Villi are tall and bile is strong in duodenum and jejunum; in the ileum villi are short and
-vessels are visible (Steinbrück et al., Atlas of Video Capsule Endoscopy, 2014, chapter 5)."""
+vessels are visible (Steinbrück et al., Atlas of Video Capsule Endoscopy, 2014, chapter 5).
+They are 0.5 to 1 mm long, of which about half stands out over their neighbors (an assumption)."""
 
 COLON = declare_organ(
     OrganSegments(

@@ -40,7 +40,7 @@ from vrcaps.render.sampling import (
     path_sampling,
     supersampled_radiance,
 )
-from vrcaps.render.scene import make_scene
+from vrcaps.render.scene import make_scene, make_villi
 from vrcaps.render.settings import RenderSettings
 from vrcaps.world.model import Model, MovingWall, State
 
@@ -81,6 +81,7 @@ class Renderer:
             load_denoiser()  # fail before expensive work
         self._imaging = make_imaging(model.device, self.settings.imaging)
         self._scene = make_scene(model.organ, self.settings, self._imaging)
+        self._villi = make_villi(model.organ, self.settings)
         self._immersion = Immersion(model, self._imaging)
         self._radiosity: _core.Radiosity | None = None
         self._wall = wall or MovingWall(model)
@@ -158,18 +159,21 @@ class Renderer:
         contents: _core.Contents | None,
     ) -> None:
         light = {name for name in arrays if is_light(name)}
-        amounts = self._immersion.amounts(state) if light else None
-        if amounts is None:
+        amounts, villi = (self._immersion.amounts(state), self._villi) if light else (None, None)
+        if amounts is None and villi is None:
             self._render_clear(wall, camera, state, arrays, contents)
             return
-        shape = (camera.height, camera.width)
-        needed = {name: array for name, array in arrays.items() if name not in light}
-        needed.setdefault("ray_distance", np.empty(shape, np.float32))
-        needed[RADIANCE_PLANAR] = arrays.get(RADIANCE_PLANAR, np.empty((3, *shape), np.float32))
+        size, inputs = (camera.height, camera.width), villi.channels if villi else ("ray_distance",)
+        needed = {name: np.empty(*layout(name, camera)) for name in inputs}
+        needed |= {name: array for name, array in arrays.items() if name not in light}
+        needed[RADIANCE_PLANAR] = arrays.get(RADIANCE_PLANAR, np.empty((3, *size), np.float32))
         self._render_clear(wall, camera, state, needed, contents)
-        planes = crop_margin(needed[RADIANCE_PLANAR], *shape)
-        pose, leds = self.pose(state, camera), self._leds(camera)
-        self._immersion.apply(amounts, camera, pose, leds, planes, needed["ray_distance"])
+        planes = crop_margin(needed[RADIANCE_PLANAR], *size)
+        if villi is not None:
+            villi.apply(camera, planes, needed)
+        if amounts is not None:
+            pose, leds = self.pose(state, camera), self._leds(camera)
+            self._immersion.apply(amounts, camera, pose, leds, planes, needed["ray_distance"])
         radiance = np.ascontiguousarray(np.moveaxis(planes, 0, -1))
         if "radiance" in arrays:
             arrays["radiance"][...] = radiance
@@ -187,8 +191,7 @@ class Renderer:
         """Render as if there was neither turbid fluid nor a film on the dome."""
         if contents is None:
             fill_empty(arrays)
-        T_world_camera = self.pose(state, camera)
-        leds = self._leds(camera)
+        T_world_camera, leds = self.pose(state, camera), self._leds(camera)
         paths = path_sampling(self.settings, state.time, T_world_camera)
 
         def draw(

@@ -1,4 +1,4 @@
-"""Scene of the compiled core: its representation of an organ, with a mucus film on the wall.
+"""Scene of the compiled core: its representation of an organ, with villi and a mucus film.
 
 The film is a liquid layer of given thickness, dry to flooded. Liquid fills the lowest points first.
 Below texel size it covers the domes of single cells; the clearcoat strengthens and the albedo
@@ -11,22 +11,29 @@ about 10 µm changes only the relief.
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vrcaps import _core
+from vrcaps.camera.derive import focal_length_px
 from vrcaps.core.color import LINEAR, srgb_from_linear
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import triangle_areas
+from vrcaps.core.units import MM
+from vrcaps.organ.segments import find_segment
 from vrcaps.organ.surface import Appearance, OrganSurface, clearcoat_alpha, face_label, round_height
 from vrcaps.render.imaging import Imaging
 from vrcaps.render.scattering import TISSUE_IOR, internal_reflectance, optical_properties
 from vrcaps.render.settings import RenderSettings
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, UInt8
+    from jaxtyping import Float, Int64, UInt8
+    from numpy.typing import NDArray
+
+    from vrcaps.camera.camera import Camera
 
 _PLAIN_ALBEDO = (0.52, 0.22, 0.16)
 _PLAIN_ROUGHNESS = 0.5
@@ -60,6 +67,60 @@ def make_scene(organ: OrganSurface, settings: RenderSettings, imaging: Imaging) 
         tissue=optical_properties(imaging.bands_nm) if settings.scattering else None,
     )
 
+
+@dataclass(frozen=True)
+class Villi:
+    """Villi of a wall at the outlines of folds; `rust/src/render/villi.rs` describes the method.
+
+    Attributes:
+        lengths: Mean length by label [m], 256 values.
+        vertices: Vertices at rest [m].
+        faces: Vertex indices of each triangle.
+    """
+
+    lengths: tuple[float, ...]
+    vertices: Float[np.ndarray, "n 3"]
+    faces: Int64[np.ndarray, "m 3"]
+
+    channels = ("ray_distance", "face", "weights", "label", "foreground_label")
+    """Names of the channels that `apply` needs."""
+
+    def apply(
+        self,
+        camera: Camera,
+        planes: Float[np.ndarray, "3 h w"],
+        channels: Mapping[str, NDArray[Any]],
+    ) -> None:
+        """Draw the villi into a view.
+
+        Args:
+            camera: The camera.
+            planes: Radiance by color [W/(sr·m²)], changed in place.
+            channels: At least the channels named by `channels`.
+        """
+        seen = tuple(channels[name] for name in self.channels)
+        wall, focal = (self.vertices, self.faces), focal_length_px(camera.lens)
+        _core.raise_villi(planes, seen, wall, self.lengths, _VILLUS_SPACING, focal)
+
+
+def make_villi(organ: OrganSurface, settings: RenderSettings) -> Villi | None:
+    """Villi of an organ; None if it has none, or with direct light.
+
+    Args:
+        organ: Organ, whose labels determine the length.
+        settings: Light and relative length.
+    """
+    segments = [find_segment(name) for name in organ.label_names]
+    lengths = [segment.villi * settings.villi if segment else 0.0 for segment in segments]
+    if settings.light == "direct" or not any(lengths):
+        return None
+    lengths += [0.0] * (256 - len(lengths))
+    vertices, faces = np.asarray(organ.vertices, np.float64), np.asarray(organ.faces, np.int64)
+    return Villi(tuple(lengths), vertices, faces)
+
+
+_VILLUS_SPACING = 0.42 * MM
+"""Distance between villi, that of `MUCOSAE["small-bowel"].pit_spacing`."""
 
 _CELL_HEIGHT = 5e-6
 """RMS height of features below texel size [m], the domes of surface cells: an assumption."""

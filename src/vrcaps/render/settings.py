@@ -38,6 +38,9 @@ class RenderSettings:
             radiosity; not available with direct light.
         denoise: Whether Open Image Denoise filters light beyond the first reflection; only with
             path tracing. Needs `pip install 'vrcaps[denoise]'`.
+        villi: Length of the villi at the outlines of folds in the small bowel relative to normal, 0
+            (none) to 2; not available with direct light. Only colors change: depth and labels are
+            those of the wall at the bases of the villi.
         mucus_film_um: Thickness of the mucus film on the wall [µm], 0 (dry) to 1000; default:
             the film of the organ's own appearance, which is wet.
         imaging: Illumination: white light of the capsule's LEDs, or narrow bands at 415 and 540
@@ -52,6 +55,7 @@ class RenderSettings:
     path_seed: int = 0
     scattering: bool = False
     denoise: bool = False
+    villi: float = 1.0
     mucus_film_um: float | None = None
     imaging: Literal["white-light", "narrow-band"] = "white-light"
 
@@ -74,6 +78,7 @@ class RenderSettings:
             ("Samples per pixel", self.spp, 1 <= self.spp <= 2**31, "1 to 2147483648"),
             ("Max bounces", self.max_bounces, 1 <= self.max_bounces <= 100, "1 to 100"),
             ("Mucus film", film, 0.0 <= film <= thickest, f"0 to {thickest:g} [µm]"),
+            ("Villi", self.villi, 0.0 <= self.villi <= 2.0, "0 to 2"),
             ("Path seed", self.path_seed, 0 <= self.path_seed < 2**64, "0 to 2^64 − 1"),
         ):
             require(valid, name, value, allowed)

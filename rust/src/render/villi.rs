@@ -1,0 +1,249 @@
+//! Villi at the outlines of folds: each stands out over the surface behind as far as its length.
+//!
+//! The wall of the scene ends at the bases of the villi, and its texture shows those that are seen
+//! from above. Along an outline they are seen from the side: a pixel behind it within the length of
+//! a villus takes the radiance of the wall at the nearest pixel of the outline. The lengths vary
+//! with cells on the wall at rest, so villi stay in their places while the wall moves. Only radiance
+//! changes; depth and labels are those of the wall.
+
+use crate::mucosa::noise::{Cells, Lattice, Vec3};
+use crate::simd::f32x64::{LANES, clamp, max, min};
+use numpy::ndarray::{ArrayView2, ArrayViewMut3};
+use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3, PyUntypedArrayMethods};
+use pyo3::{exceptions::PyValueError, prelude::*};
+
+/// Difference of distances along adjacent rays at an outline [m].
+const GAP: f32 = 1e-3;
+/// Maximum angle over which a villus is drawn [rad]; those next to the dome are out of focus.
+const WIDEST: f32 = 0.11;
+/// Distance from the outline to the wall whose radiance villi take [px].
+const INWARD: f32 = 1.5;
+/// Seeds of the cells and of the variation of their lengths.
+const SEEDS: [u32; 2] = [0x7669_6c6c, 0x7669_6c68];
+/// Relative length in the gaps between villi, and difference of the distances to the nearest two
+/// centers at which a villus has its full length [cells].
+const GROUND: f32 = 0.25;
+const SHOULDER: f32 = 0.55;
+/// Relative standard deviation of the lengths; that of the noise is 0.76.
+const SPREAD: f32 = 0.3 / 0.76;
+/// Maximum length relative to the mean.
+const TALLEST: f32 = 1.5;
+
+/// Channels of an image: distance along each ray [h w] in meters, NaN where there is no surface; face [h w],
+/// negative there; weights of its first two corners [h w 2]; label [h w]; and label of the foreground
+/// [h w], 0 where nothing is in front of the wall.
+pub type GivenSeen<'py> = (
+    PyReadonlyArray2<'py, f32>,
+    PyReadonlyArray2<'py, i32>,
+    PyReadonlyArray3<'py, f32>,
+    PyReadonlyArray2<'py, u8>,
+    PyReadonlyArray2<'py, u8>,
+);
+
+/// `GivenSeen`, as used by the core.
+struct Seen<'a> {
+    size: (usize, usize),
+    /// Distance along each ray [m], NaN where there is no surface.
+    distance: &'a [f32],
+    face: &'a [i32],
+    /// Weights of the first and second corner of the face.
+    weights: &'a [f32],
+    /// Label of the foreground, 0 for none.
+    hidden: &'a [u8],
+    /// Mean length of the villi [m], 0 for none.
+    length: Vec<f32>,
+}
+
+/// Pixel of an outline.
+struct Outline {
+    pixel: usize,
+    /// Length of its villus in the image [px].
+    length: f32,
+    /// Length of the tallest villus there [px].
+    longest: f32,
+    /// Position between the gap next to the villus (0) and its middle (1).
+    middle: f32,
+}
+
+/// Draws villi into planes [3 h w], in place.
+///
+/// `lengths` [256] are those of villi by label [m]; `wall` are vertices [n 3] and faces [m 3] at
+/// rest; `spacing` is the distance between villi [m], `focal` the number of pixels per radian.
+///
+/// # Errors
+/// If arrays differ in size, or a face or vertex does not exist.
+#[pyfunction]
+pub fn raise_villi(
+    mut planes: PyReadwriteArray3<'_, f32>,
+    seen: GivenSeen<'_>,
+    wall: (PyReadonlyArray2<'_, f64>, PyReadonlyArray2<'_, i64>),
+    lengths: [f32; 256],
+    spacing: f32,
+    focal: f32,
+) -> PyResult<()> {
+    let seen = Seen::of(&seen, &lengths)?;
+    if planes.shape() != [3, seen.size.0, seen.size.1] || !(spacing > 0.0 && focal > 0.0) {
+        return Err(PyValueError::new_err("Planes must be of the channels' size (3, h, w)."));
+    }
+    let pixels = seen.outlines();
+    let places = seen.places(&pixels, wall.0.as_array(), wall.1.as_array())?;
+    let outlines = seen.grow(&pixels, &places, spacing, focal);
+    seen.paint(&outlines, &mut planes.as_array_mut());
+    Ok(())
+}
+
+impl<'a> Seen<'a> {
+    /// Surfaces, given the lengths of villi by label.
+    fn of(given: &'a GivenSeen<'_>, lengths: &[f32; 256]) -> PyResult<Self> {
+        let (distance, face, weights, label, hidden) = given;
+        let [rows, columns] = distance.shape()[..] else { unreachable!("two dimensions") };
+        let fits = face.shape() == [rows, columns]
+            && weights.shape() == [rows, columns, 2]
+            && label.shape() == [rows, columns]
+            && hidden.shape() == [rows, columns];
+        if !fits {
+            return Err(PyValueError::new_err("Channels must be of one size (h, w)."));
+        }
+        let length = label.as_slice()?.iter().map(|&label| lengths[usize::from(label)]).collect();
+        let (distance, face) = (distance.as_slice()?, face.as_slice()?);
+        let (weights, hidden) = (weights.as_slice()?, hidden.as_slice()?);
+        Ok(Seen { size: (rows, columns), distance, face, weights, hidden, length })
+    }
+
+    /// Pixels next to a ray that passes the wall's outline.
+    fn outlines(&self) -> Vec<usize> {
+        let (rows, columns) = self.size;
+        let mut found = Vec::new();
+        for y in 1..rows.saturating_sub(1) {
+            for x in 1..columns.saturating_sub(1) {
+                let pixel = y * columns + x;
+                let has_villi = self.length[pixel] > 0.0 && self.face[pixel] >= 0;
+                if !has_villi || self.hidden[pixel] != 0 {
+                    continue;
+                }
+                let beyond = self.distance[pixel] + GAP;
+                let around = [pixel - columns, pixel - 1, pixel + 1, pixel + columns];
+                if around.iter().any(|&next| self.distance[next] > beyond) {
+                    found.push(pixel);
+                }
+            }
+        }
+        found
+    }
+
+    /// Positions of pixels on the wall at rest [m].
+    fn places(
+        &self,
+        pixels: &[usize],
+        vertices: ArrayView2<'_, f64>,
+        faces: ArrayView2<'_, i64>,
+    ) -> PyResult<Vec<Vec3>> {
+        let missing = || PyValueError::new_err("A face or vertex does not exist.");
+        let place = |&pixel: &usize| {
+            let face = usize::try_from(self.face[pixel]).ok().filter(|&face| face < faces.nrows());
+            let corners = faces.row(face.ok_or_else(missing)?);
+            let [first, second] = [self.weights[2 * pixel], self.weights[2 * pixel + 1]];
+            let mut place = [0.0; 3];
+            for (corner, weight) in corners.iter().zip([first, second, 1.0 - first - second]) {
+                let vertex = usize::try_from(*corner).ok().filter(|&v| v < vertices.nrows());
+                let vertex = vertices.row(vertex.ok_or_else(missing)?);
+                for k in 0..3 {
+                    place[k] += weight * vertex[k] as f32;
+                }
+            }
+            Ok(place)
+        };
+        pixels.iter().map(place).collect()
+    }
+
+    /// Villi of the pixels of outlines.
+    fn grow(&self, pixels: &[usize], places: &[Vec3], spacing: f32, focal: f32) -> Vec<Outline> {
+        let (cells, lengths) =
+            (Cells::new(SEEDS[0], spacing), Lattice::new(SEEDS[1], 1.5 * spacing));
+        let mut outlines = Vec::with_capacity(pixels.len());
+        for (pixels, places) in pixels.chunks(LANES).zip(places.chunks(LANES)) {
+            let mut lanes = [[0.0; LANES]; 3];
+            for (i, place) in places.iter().enumerate() {
+                for k in 0..3 {
+                    lanes[k][i] = place[k];
+                }
+            }
+            let borders = cells.borders(&lanes);
+            for (i, (&pixel, &place)) in pixels.iter().zip(places).enumerate() {
+                let middle = min(borders[i] / SHOULDER, 1.0).sqrt();
+                let varied = clamp(1.0 + SPREAD * lengths.gradient(place), 0.3, TALLEST);
+                let profile = GROUND + (1.0 - GROUND) * middle;
+                let mean = min(self.length[pixel] / self.distance[pixel], WIDEST / TALLEST) * focal;
+                let (length, longest) = (mean * varied * profile, mean * TALLEST);
+                outlines.push(Outline { pixel, length, longest, middle });
+            }
+        }
+        outlines
+    }
+
+    /// Draws villi, each over the pixels behind that are nearest to its outline.
+    fn paint(&self, outlines: &[Outline], planes: &mut ArrayViewMut3<'_, f32>) {
+        let columns = self.size.1;
+        let color = |pixel: usize, planes: &ArrayViewMut3<'_, f32>| {
+            [0, 1, 2].map(|k| planes[[k, pixel / columns, pixel % columns]])
+        };
+        let mut drawn = Vec::new();
+        for (pixel, outline, apart) in self.nearest(outlines) {
+            let Outline { pixel: base, length, middle, .. } = outlines[outline];
+            let covered = clamp(length - apart + 0.5, 0.0, 1.0);
+            if covered <= 0.0 {
+                continue;
+            }
+            // Tips let light through.
+            let along = min(apart / length, 1.0);
+            let (opacity, tone) =
+                (covered * (1.0 - 0.25 * along), (0.65 + 0.3 * middle) * (1.0 - 0.2 * along));
+            let villus = color(self.inside(base, pixel, apart), planes).map(|x| x * tone);
+            let behind = color(pixel, planes);
+            drawn.push((pixel, [0, 1, 2].map(|k| behind[k] + opacity * (villus[k] - behind[k]))));
+        }
+        for (pixel, villus) in drawn {
+            for k in 0..3 {
+                planes[[k, pixel / columns, pixel % columns]] = villus[k];
+            }
+        }
+    }
+
+    /// Pixels behind outlines, the nearest outline of each, and the distance to it [px].
+    fn nearest(&self, outlines: &[Outline]) -> Vec<(usize, usize, f32)> {
+        let (rows, columns) = self.size;
+        let mut nearest = vec![(i32::MAX, 0usize); rows * columns];
+        for (k, outline) in outlines.iter().enumerate() {
+            let beyond = self.distance[outline.pixel] + 0.5 * GAP;
+            let reach = (outline.longest + 1.0) as i32;
+            let (y, x) = ((outline.pixel / columns) as i32, (outline.pixel % columns) as i32);
+            for row in (y - reach).max(0)..=(y + reach).min(rows as i32 - 1) {
+                for column in (x - reach).max(0)..=(x + reach).min(columns as i32 - 1) {
+                    let pixel = row as usize * columns + column as usize;
+                    let square = (row - y) * (row - y) + (column - x) * (column - x);
+                    let is_behind = self.distance[pixel] > beyond && self.hidden[pixel] == 0;
+                    if is_behind && square < nearest[pixel].0 {
+                        nearest[pixel] = (square, k);
+                    }
+                }
+            }
+        }
+        let within = |(pixel, &(square, k)): (usize, &(i32, usize))| {
+            (square < i32::MAX).then(|| (pixel, k, (square as f32).sqrt()))
+        };
+        nearest.iter().enumerate().filter_map(within).collect()
+    }
+
+    /// Pixel of the wall inside of an outline, on the other side than a pixel behind it.
+    fn inside(&self, base: usize, behind: usize, apart: f32) -> usize {
+        let (rows, columns) = self.size;
+        let step = |from: usize, to: usize, size: usize| {
+            let offset = INWARD * (from as f32 - to as f32) / max(apart, 1.0);
+            clamp(from as f32 + offset + 0.5, 0.0, size as f32 - 1.0) as usize
+        };
+        let (y, x) = (base / columns, base % columns);
+        let inside = step(y, behind / columns, rows) * columns + step(x, behind % columns, columns);
+        let is_same = (self.distance[inside] - self.distance[base]).abs() < 1.5 * GAP;
+        if is_same { inside } else { base }
+    }
+}

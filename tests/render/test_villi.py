@@ -1,0 +1,140 @@
+"""Villi at outlines: their length in closed form, and channels that they leave alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.shapes import looking, make_camera, make_model, pinhole, tube
+from vrcaps import _core
+from vrcaps.camera.camera import Led
+from vrcaps.core.errors import InputError
+from vrcaps.organ.segments import find_segment
+from vrcaps.render.renderer import DEFAULT_CHANNELS, Renderer
+from vrcaps.render.settings import RenderSettings
+
+_SIZE = (400, 120)
+_EDGE = 60
+"""Last column of a near wall; the far one begins behind it."""
+_NEAR, _FAR = 8e-3, 30e-3
+_FOCAL = 200.0
+_LENGTH = 0.5e-3
+_SPACING = 0.42e-3
+_LEDS = tuple(Led((0.003 * np.cos(a), 0.003 * np.sin(a), 0.0)) for a in range(6))
+_CAMERA = make_camera(pinhole(96), leds=_LEDS)
+
+
+def _channels() -> list[np.ndarray]:
+    """Channels of two planes across the view; pixels lie 40 µm apart on the near one."""
+    distance = np.full(_SIZE, _FAR, np.float32)
+    distance[:, : _EDGE + 1] = _NEAR
+    row, column = np.mgrid[: _SIZE[0], : _SIZE[1]]
+    weights = np.stack([row, column], axis=-1) / np.array(_SIZE)
+    labels = np.ones(_SIZE, np.uint8)
+    return [distance, np.zeros(_SIZE, np.int32), weights.astype("f4"), labels, 0 * labels]
+
+
+def _raised(channels: list[np.ndarray], length: float = _LENGTH, **changes) -> np.ndarray:
+    """Planes of a near wall of radiance 1 before a black one, with villi."""
+    planes = np.zeros((3, *_SIZE), np.float32)
+    planes[:, :, : _EDGE + 1] = 1.0
+    extent = _NEAR / _FOCAL * np.array(_SIZE)
+    vertices = np.array([[extent[0], 0.0, 0.0], [0.0, extent[1], 0.0], [0.0, 0.0, 0.0]])
+    wall = changes.get("wall", (vertices, np.array([[0, 1, 2]])))
+    lengths = [0.0, length] + [0.0] * 254
+    _core.raise_villi(planes, tuple(channels), wall, lengths, _SPACING, _FOCAL)
+    return planes
+
+
+def test_villi_stand_out_by_their_length_and_differ():
+    planes = _raised(_channels())
+    assert (planes[:, :, : _EDGE + 1] == 1.0).all()
+    behind = planes[0, :, _EDGE + 1 :]
+    longest = 1.5 * _LENGTH / _NEAR * _FOCAL
+    assert not behind[:, int(longest + 1.5) :].any()
+    # Opacity falls by a quarter and tone by a fifth to the tips; the tone is 0.65 to 0.95.
+    lengths = (behind > 0.3).sum(axis=1) * _NEAR / _FOCAL
+    assert 0.4 * _LENGTH < lengths.mean() < 0.9 * _LENGTH
+    assert lengths.std() > 0.15 * _LENGTH
+    # Villi are as far apart as their spacing: maxima along the outline, 16 mm long.
+    smooth = np.convolve(lengths, np.ones(5) / 5.0, "same")
+    maxima = ((smooth[1:-1] > smooth[:-2]) & (smooth[1:-1] >= smooth[2:])).sum()
+    assert 0.5 < maxima * _SPACING / 16e-3 < 1.5
+
+
+def test_lengths_scale_with_the_setting():
+    means = [_raised(_channels(), k * _LENGTH)[0, :, _EDGE + 1 :].sum() for k in (0.5, 1.0)]
+    assert means[1] / means[0] == pytest.approx(2.0, rel=0.2)
+    assert not _raised(_channels(), 0.0)[:, :, _EDGE + 1 :].any()
+
+
+def test_villi_stay_on_the_wall():
+    channels = _channels()
+    moved = [np.roll(channel, 7, axis=0) for channel in channels]
+    still, shifted = _raised(channels), _raised(moved)
+    assert np.allclose(np.roll(still, 7, axis=1)[:, 20:-20], shifted[:, 20:-20], atol=1e-5)
+
+
+def test_there_are_none_behind_what_floats_in_front():
+    channels = _channels()
+    channels[4][:200] = 1
+    planes = _raised(channels)
+    assert not planes[:, :200, _EDGE + 1 :].any()
+    assert planes[:, 215:, _EDGE + 1 :].any()
+
+
+def _bowel(label: str = "jejunum"):
+    organ = tube(40, 60, folds=0.4, capped=True)
+    names = ("background", label)
+    return make_model(replace(organ, label=np.ones_like(organ.label), label_names=names), _CAMERA)
+
+
+def _frame(model, **settings):
+    renderer = Renderer(model, RenderSettings(**settings))
+    channels = (*DEFAULT_CHANNELS, "radiance")
+    return renderer.render(looking((0.004, -0.003, 0.05)), _CAMERA, channels=channels)
+
+
+def test_only_light_near_outlines_changes():
+    model = _bowel()
+    frame, bare = _frame(model), _frame(model, villi=0.0)
+    for name in DEFAULT_CHANNELS[1:]:
+        assert np.array_equal(getattr(frame, name), getattr(bare, name), equal_nan=True), name
+    changed = (frame.radiance != bare.radiance).any(axis=-1)
+    assert 0.002 < changed.mean() < 0.2
+    rows, columns = np.nonzero(changed)
+    reach = 6
+    for row, column in zip(rows, columns, strict=True):
+        window = np.s_[
+            max(row - reach, 0) : row + reach + 1, max(column - reach, 0) : column + reach + 1
+        ]
+        assert np.nanmin(bare.ray_distance[window]) < bare.ray_distance[row, column] - 0.5e-3
+
+
+def test_other_mucosae_and_direct_light_have_none():
+    colon, bowel = _bowel("sigmoid"), _bowel()
+    assert np.array_equal(_frame(colon).rgb, _frame(colon, villi=0.0).rgb)
+    direct = {"light": "direct"}
+    assert np.array_equal(_frame(bowel, **direct).rgb, _frame(bowel, villi=0.0, **direct).rgb)
+
+
+def test_the_ileum_has_shorter_villi_than_the_jejunum():
+    jejunum, ileum = find_segment("jejunum"), find_segment("ileum")
+    assert jejunum is not None
+    assert ileum is not None
+    assert 0.0 < ileum.villi < jejunum.villi
+
+
+def test_wrong_input():
+    with pytest.raises(InputError, match="Villi"):
+        RenderSettings(villi=2.5)
+    channels = _channels()
+    with pytest.raises(ValueError, match="one size"):
+        _raised([channels[0][1:], *channels[1:]])
+    with pytest.raises(ValueError, match="does not exist"):
+        _raised(channels, wall=(np.zeros((3, 3)), np.zeros((0, 3), int)))
+    with pytest.raises(ValueError, match="does not exist"):
+        _raised(channels, wall=(np.zeros((2, 3)), np.array([[0, 1, 2]])))
+    small, wall = np.zeros((3, 2, 2), np.float32), (np.zeros((3, 3)), np.zeros((1, 3), int))
+    with pytest.raises(ValueError, match="channels' size"):
+        _core.raise_villi(small, tuple(channels), wall, [0.0] * 256, _SPACING, _FOCAL)

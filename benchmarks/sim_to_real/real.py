@@ -52,7 +52,7 @@ def found_layouts(root: Path | None, named: Sequence[str]) -> dict[str, Path]:
         named: Texts LAYOUT=FOLDER, which take precedence.
 
     Raises:
-        UnknownNameError: If there is no layout of a name.
+        UnknownNameError: If a layout is unknown.
         InputError: If a folder is missing, or there is none.
     """
     found: dict[str, Path] = {}

@@ -162,7 +162,8 @@ def begin_training(
         update: Replaces former names in the settings of an older version.
 
     Raises:
-        InputError: If the folder holds something else, or a training of other settings or versions.
+        InputError: If the folder contains other files, or a training with other settings or
+            versions.
     """
     path = out / SETTINGS
     made_with = {"vrcaps": __version__, "core": core_sha256(), **versions(packages)}

@@ -22,11 +22,11 @@ READY = "ready"
 _MAX_UNCONFIRMED = 4
 """Maximum number of statuses and images on the way to a browser."""
 _MAX_RATE, _MAX_BURST = 150.0, 300.0
-"""Messages per second that a browser may send, and at once."""
+"""Messages per second that a browser may send, and size of a burst."""
 _MAX_QUEUED = 128
 """Maximum number of answers that wait for a browser."""
 _SEND_TIMEOUT = 10.0
-"""Time [s] after which a browser that takes no data loses its connection."""
+"""Time [s] after which a browser that reads no data is disconnected."""
 _MAX_CONNECTIONS = 32
 _POLICY_VIOLATION = 1008
 _TRY_AGAIN = 1013
@@ -36,7 +36,7 @@ class RateLimit:
     """Token bucket: a rate, with a burst."""
 
     def __init__(self, rate: float = _MAX_RATE, burst: float = _MAX_BURST) -> None:
-        """Start full.
+        """Create a full bucket.
 
         Args:
             rate: Tokens per second.

@@ -74,7 +74,7 @@ class CatalogFolder:
         return tuple(path.stem for path in listed(self.path, "*.toml"))
 
     def find(self, name_or_path: str | Path) -> Path:
-        """Return the file of a name, or a user's own file by its path.
+        """Return the catalog file with a name, or a user's file by its path.
 
         Raises:
             UnknownNameError: If the catalog has no such name.

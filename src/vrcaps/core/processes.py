@@ -32,7 +32,7 @@ class _EndsWithParent:
 
 
 def spawned(target: Callable[..., None], *arguments: Any) -> Any:
-    """Create a `multiprocessing` process, not started, that ends with this one in any case.
+    """Create a `multiprocessing` process, not yet started, that always ends with this one.
 
     Args:
         target: Function to run.

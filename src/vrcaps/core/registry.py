@@ -86,7 +86,7 @@ class Registry(Mapping[str, type[Member]], Generic[Member]):
         return (self[name].__doc__ or "").partition("\n")[0]
 
     def __getitem__(self, name: str) -> type[Member]:
-        """Return the class of a name.
+        """Return the class with a name.
 
         Raises:
             UnknownNameError: If there is none.

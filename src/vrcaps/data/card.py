@@ -235,7 +235,7 @@ _TASKS = (
     ("image-segmentation", {"label", "instance"}),
     ("object-detection", {"instance"}),
 )
-"""Tasks, each with the channels of which one suffices."""
+"""Tasks, each with its alternative channels, one of which suffices."""
 
 
 def _header(settings: DatasetSettings, rows: Sequence[Row]) -> str:

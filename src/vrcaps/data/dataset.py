@@ -99,7 +99,7 @@ class Dataset:
 
         Args:
             split: Only this split; None takes all.
-            camera: Only the camera of this name; None takes all.
+            camera: Name of the camera to read; None reads all.
             progress: Called with the number of read recordings and the total.
 
         Raises:
@@ -145,8 +145,8 @@ def sequences_of(
 
     Args:
         source: Folder or URL of an episode or a data set.
-        camera: Only the camera of this name; None takes all.
-        split: Only this split of a data set; None takes all.
+        camera: Name of the camera to read; None reads all.
+        split: Split of the data set to read; None reads all.
         progress: Called with the number of read recordings of a data set and the total.
 
     Raises:

@@ -1,6 +1,7 @@
 """Ledger of a data set: its complete units, with the checksum of each of their files.
 
-A unit is complete once its entry is written, as the last step; readers never see a part.
+A unit is complete once its entry is written, as the last step; readers never see an incomplete
+unit.
 """
 
 from __future__ import annotations
@@ -129,8 +130,8 @@ def complete_units(store: Store, asked: Sequence[str] | None = None) -> list[str
 
     Args:
         store: Store of the data set.
-        asked: Only these; None returns all. A few are looked up one by one, so that the slices
-            of a large data set do not each list all of it.
+        asked: Names of the units to return; None returns all. A few are looked up one by one, so
+            that the slices of a large data set do not each list all of it.
     """
     if asked is not None and len(asked) <= _MAX_LOOKUPS:
         return [name for name in asked if is_complete(store, name)]
@@ -334,7 +335,7 @@ def _organ_sha256(episode: Episode) -> str:
 
 
 def require_about(about: dict[str, Any]) -> None:
-    """Check the values in an entry's summary that are counted.
+    """Check the values of an entry's summary from which counts are computed.
 
     Raises:
         InputError: If a number is out of range, or a table is missing.

@@ -56,12 +56,12 @@ def make_dataset(
         plan: Plan to make.
         url: Folder or URL of the data set: new, or of an earlier run of this plan.
         numbers: Units to make; None makes all.
-        runner: Runner of the units; None takes a process for each processor.
+        runner: Runner of the units; None uses one process per processor.
         progress: Called with the number of finished units and of all requested ones.
         source: Name of the plan on the command line, for the command that reproduces a failure.
 
     Raises:
-        InputError: If the plan may draw an invalid scenario, the store holds something else, or an
+        InputError: If the plan may draw an invalid scenario, the store contains other files, or an
             index is out of range.
         StorageError: If the store cannot be written or reached; its complete files are kept.
     """

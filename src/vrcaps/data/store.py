@@ -1,7 +1,7 @@
 """Store of a data set: a local folder, or a URL such as ``s3://bucket/name``.
 
-A store holds complete files under names with slashes. A local store is durable over a power
-failure; a remote one has the durability of its service.
+A store holds complete files under names with slashes. A local store survives a power failure; a
+remote one has the durability of its service.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Store(Protocol):
         ...
 
     def create(self, name: str, data: bytes) -> bool:
-        """Write a new file; False if it exists, also if another process was first."""
+        """Write a new file; return False if it exists or another process creates it first."""
         ...
 
     def remove(self, name: str) -> None:
@@ -70,7 +70,7 @@ class Store(Protocol):
         ...
 
     def put(self, staged: Path, name: str) -> None:
-        """Move a prepared folder to its name; do nothing if it exists."""
+        """Rename a prepared folder to its final name; do nothing if that exists."""
         ...
 
     def free_bytes(self) -> int | None:
@@ -103,7 +103,7 @@ class LocalStore:
             sync_folder(path.parent)
 
     def create(self, name: str, data: bytes) -> bool:
-        """Write a temporary file and give it its name atomically if that is free."""
+        """Write a temporary file and rename it atomically, unless the name is taken."""
         path = self.folder / name
         with _storage_errors(self.url), self._staged(data) as staged:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -152,7 +152,7 @@ class LocalStore:
         return self.folder / ".staging" / name.replace("/", "_")
 
     def put(self, staged: Path, name: str) -> None:
-        """Move a folder to its name atomically."""
+        """Rename a folder to its final name atomically."""
         path = self.folder / name
         with _storage_errors(self.url):
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -188,7 +188,7 @@ def _is_patients(path: str) -> bool:
 
 
 def _spread(order: Sequence[int], fractions: Sequence[float]) -> tuple[str, ...]:
-    """Splits for ordered patients such that each stretch has about the given fractions.
+    """Splits of ordered patients such that any consecutive ones have about the given fractions.
 
     Each patient goes to the split with the largest deficit.
     """
@@ -237,7 +237,7 @@ def _without_probability(plain: Any) -> Any:
 
 
 def check_plan(units: Units) -> None:
-    """Build the scenario of each extreme of each distribution, all else as in the first unit.
+    """Build a scenario for each extreme of each distribution, otherwise equal to the first unit.
 
     The extremes of numeric distributions are their limits, those of names all names.
 

@@ -193,7 +193,7 @@ _REACH = 1.0
 
 _LEVER, _DAMPING, _CENTERING = 0.1, 0.02, 0.1
 """Weight of a rotation of the magnet against its motion [m], damping [m], and the rate at which
-spare joints move to the middle of their ranges [1/s], of `ArmActuation.towards`."""
+redundant joints move to the middle of their ranges [1/s], of `ArmActuation.towards`."""
 
 _LIMIT_NAMES = np.array(["", "joint", "collision"], object)
 """Limits that may have modified the arm's motion, by the value of `arm/limit`."""
@@ -284,7 +284,7 @@ class ArmActuation(Actuation):
         memory.allocate("arm/limit", dtype=np.int64)
 
     def begin(self, view: EnvView, index: int, start: State) -> tuple[Source, ...]:
-        """Place the magnet above the capsule; the arm is at rest if it cannot reach there.
+        """Place the magnet above the capsule; the arm starts at home if that is out of reach.
 
         Raises:
             InputError: If the capsule contains no magnet.
@@ -334,7 +334,7 @@ class ArmActuation(Actuation):
         """Return the action that moves the magnet towards a pose, for any rotation about its axis.
 
         Damped least squares (Wampler, IEEE Trans. Syst. Man Cybern. 16, 1986) over position and
-        moment; the joints left over move towards the middle of their ranges.
+        moment; redundant joints move towards the middle of their ranges.
 
         Args:
             angles: Current joint angles [rad].

@@ -56,7 +56,7 @@ class Episode:
 
         Raises:
             InputError: If the render mode is unknown, or a file of settings is missing.
-            UnknownNameError: If there is no organ or no capsule of a name.
+            UnknownNameError: If an organ or the capsule is unknown.
         """
         from gymnasium import spaces
 

@@ -1,10 +1,10 @@
 """Map that a capsule builds itself, from its estimated pose and the distances that its camera sees.
 
 The map divides space into voxels. A ray of the camera adds evidence for a free voxel along its way
-and for a wall at its end (occupancy grid: Elfes, Computer 22, 1989). Where no ray has been, a voxel
-is unknown; the borders of free and unknown space are the frontiers of exploration (Yamauchi, CIRA
-1997). A view is rated by the unknown space that its rays would reach through free voxels (Bircher
-et al., ICRA 2016).
+and for a wall at its end (occupancy grid: Elfes, Computer 22, 1989). A voxel that no ray has
+reached is unknown; the borders of free and unknown space are the frontiers of exploration
+(Yamauchi, CIRA 1997). A view is rated by the unknown space that its rays would reach through free
+voxels (Bircher et al., ICRA 2016).
 """
 
 from __future__ import annotations

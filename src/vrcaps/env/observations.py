@@ -181,7 +181,7 @@ class LocatedCapsules:
 
 
 def located_capsules(view: EnvView, sensors: TrackingSensors, owner: str) -> LocatedCapsules:
-    """Return the localization that observations share; the first that asks creates it."""
+    """Return the localization that observations share; the first one to request it creates it."""
     if _LOCATED not in view.objects:
         view.objects[_LOCATED] = LocatedCapsules(view, sensors, owner)
     return view.objects[_LOCATED]
@@ -219,9 +219,9 @@ class ImageObservation(Observation):
         size: Height and width [px]. The camera's image is scaled to cover this size, then cropped.
         render: Render settings.
         key: Name of the observation; None for the channel's.
-        noise: Error of a depth or distance, as that of an estimate from color: logarithm of a
-            factor of the whole image, and of a factor of each pixel, each normal with this standard
-            deviation.
+        noise: Error of a depth or distance, similar to that of an estimate from color: logarithm of
+            a factor of the whole image, and of a factor of each pixel, each normal with this
+            standard deviation.
     """
 
     channel: str = "rgb"

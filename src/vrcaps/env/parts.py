@@ -200,7 +200,7 @@ class Observation:
 
     @property
     def needs_textures(self) -> bool:
-        """Whether it renders the appearance of the wall; by default not."""
+        """Whether it renders the appearance of the wall; False by default."""
         return False
 
     @property

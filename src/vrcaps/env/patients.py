@@ -73,7 +73,7 @@ def check_names(organs: Sequence[Organ], capsule: str | Device) -> None:
 
     Raises:
         InputError: If an organ's file or unit is missing, or a device file.
-        UnknownNameError: If there is no organ or no capsule of a name.
+        UnknownNameError: If an organ or the capsule is unknown.
     """
     checked: list[OrganGenerated] = []
     for organ in organs_of(organs):

@@ -54,7 +54,7 @@ class Randomization:
         >>> varied = Randomization(friction=(0.5, 2.0), mass=(0.9, 1.1), magnet=0.8)
 
     Attributes:
-        stiffness: Of the wall: its foundation's modulus, and its springs' or layer's stiffness.
+        stiffness: Stiffness of the wall: modulus of its foundation, stiffness of springs or layer.
         friction: Coefficient of friction of the wall.
         drag: Drag of the lumen contents, viscosity of the mucus, and resistance of the laws
             `incetan2021` and `continuous`.

@@ -59,7 +59,7 @@ class AreaGain(Reward):
 class LogGain(AreaGain):
     """Decrease of ln(u + 0.005) with the unseen fraction u: halving u has about the same reward.
 
-    Therefore the last hundredths are worth seeking, which `AreaGain` hardly rewards.
+    It also rewards the last percent of the wall, for which `AreaGain` is negligible.
     """
 
     kind: ClassVar[str] = "log-gain"

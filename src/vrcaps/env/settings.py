@@ -39,7 +39,7 @@ from vrcaps.world.mechanics import RELAXATION_TIME
 from vrcaps.world.model import posture_transform
 
 _MAX_TIME = 7 * 86400.0
-"""Maximum duration of an episode [s], a week, since files of policies may state any."""
+"""Maximum duration of an episode [s], a week, because a policy file may state any duration."""
 _MAX_CELLS = 1024
 _SETTINGS: dict[str, type] = {
     "tissue": Tissue,
@@ -165,7 +165,7 @@ def env_settings(**keywords: Any) -> EnvSettings:
 
     Raises:
         InputError: If a keyword is not a field, or a value is not allowed.
-        UnknownNameError: If there is no part of a name.
+        UnknownNameError: If a part is unknown.
     """
     known = [f.name for f in fields(EnvSettings)]
     for name in keywords:

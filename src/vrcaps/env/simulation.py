@@ -346,7 +346,7 @@ def take_snapshot(
         simulation: The worlds.
         indices: Indices of the worlds in the snapshot.
         generators: Random generators of all worlds.
-        is_over: Whether the episode of each of all worlds is over.
+        is_over: Whether each world's episode is over.
     """
 
     def taken(k: int) -> WorldSnapshot:

@@ -30,12 +30,12 @@ class Transmission:
         >>> settings = EnvSettings(transmission=radio)
 
     Attributes:
-        action_delay: Delay of actions in control periods; before the first arrives, an action of
-            zeros acts.
-        action_dropout: Probability that an action is lost; the last one that arrived acts on.
+        action_delay: Delay of actions in control periods; until the first arrives, an action of
+            zeros is applied.
+        action_dropout: Probability that an action is lost; the last one received stays in effect.
         action_levels: Number of levels of each value of an action, over its range; None is exact.
         image_delay: Delay of images in control periods; until then the first image is shown.
-        image_dropout: Probability that an image is lost; the last one that arrived is shown.
+        image_dropout: Probability that an image is lost; the last one received is shown.
         image_levels: Number of levels of each value of an image, over its range; None is exact.
     """
 
@@ -104,7 +104,7 @@ class Link:
             memory[_KEY.format(f"count/{name}")][index] = -1
 
     def send(self, actions: np.ndarray, active: np.ndarray) -> np.ndarray:
-        """Return the actions that act in the active worlds, given those that are sent."""
+        """Return the actions applied in the active worlds, given those sent."""
         settings, memory = self._settings, self._memory
         if settings.action_levels is not None:
             low, high = self._space.low, self._space.high

@@ -178,7 +178,7 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
 
         Raises:
             InputError: If it is of other settings, or of another number of worlds; or if a single
-                world is to be restored before the first reset.
+                world is restored before the first reset.
         """
         given = "one" if index is not None else "all"
         is_allowed = self._was_reset or index is None

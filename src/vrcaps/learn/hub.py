@@ -146,7 +146,7 @@ def pull(
     Raises:
         InputError: If there is no index, or a file is missing or differs from it; complete files
             are kept.
-        UnknownNameError: If nothing of a name is published.
+        UnknownNameError: If no published weights have the name.
         StorageError: If the source cannot be reached, or the folder cannot be written.
     """
     source, folder = source.rstrip("/"), folder or download_folder()

@@ -80,7 +80,7 @@ def train(
         report: Called after each step.
 
     Raises:
-        InputError: If the folder holds something else, the loss is not finite, or a layer has the
+        InputError: If the folder contains other files, the loss is not finite, or a layer has the
             same features for all images; the last good checkpoint is kept.
         MissingExtraError: If a package is not installed.
     """

@@ -54,7 +54,7 @@ def parse_lesion(text: str) -> Lesion:
 
 
 def _named(name: str) -> tuple[type[Lesion], dict[str, Any]]:
-    """Kind and values of a name."""
+    """Kind and values of a named lesion."""
     words = name.split("-")
     kinds = ("-".join(words[:count]) for count in range(len(words), 0, -1))
     kind = next((kind for kind in kinds if kind in LESIONS), "")

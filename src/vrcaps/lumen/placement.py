@@ -35,8 +35,9 @@ wall."""
 _LONGEST = 5.0
 """Maximum of the length of a raft, along a crease, over its width."""
 _MANY = 8.0
-"""Bubbles in a raft from which on they may have any size; the maximum radius in smaller rafts is in
-proportion to the root of their number, because large bubbles form where small ones coalesce."""
+"""Number of bubbles in a raft from which their size is not limited; in smaller rafts the maximum
+radius is proportional to the square root of the number, because large bubbles form where small ones
+coalesce."""
 _LIFT_CHYME = 0.4
 _BOUND = 0.45
 """Distance between neighbors in a clump of chyme as a fraction of the sum of their radii."""
@@ -343,7 +344,7 @@ class _Seeds:
 def _along(
     vectors: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Parts of vectors along unit directions."""
+    """Components of vectors along unit directions."""
     return np.sum(vectors * directions, axis=1, keepdims=True) * directions
 
 

@@ -101,14 +101,14 @@ class DynamicsSettings(MotionSettings):
         start: Start position of the capsule, as a fraction of the centerline from the oral end;
             moved on to the next position where the capsule fits.
         angle: Angle between the capsule's front and the direction to the anal end, about the x axis
-            of the centerline's frame [rad]; π looks back.
+            of the centerline's frame [rad]; π faces backwards.
         deformation: Deformation of the wall: `spring` (springs and dampers at the vertices near the
             contact), `fem` (an elastic layer) or `rigid` (none except the softness of
             `foundation`).
         spring: Parameters of `spring`.
         fem: Parameters of `fem`; None for the defaults.
-        foundation: Pressure of the wall against a capsule that presses in.
-        drag: Resistance of the wall against a capsule that slides along.
+        foundation: Pressure of the wall on a capsule that indents it.
+        drag: Resistance of the wall to a sliding capsule.
         motility: Motility of the muscle: `none`; `fasting`, the migrating motor complex at random;
             `phase-three`, its strongest phase, whose front has passed the capsule by 5 cm in the
             first frame; `steady`, even contractions of every segment.
@@ -117,7 +117,7 @@ class DynamicsSettings(MotionSettings):
         propulsion: Force β (v_p − u) of peristalsis in addition to contact; None for no such force.
         wrenches: Commanded force and torque: linear in time between entries, constant before and
             after them.
-        wrench_file: CSV of such entries instead, see `read_wrenches`.
+        wrench_file: CSV file with these entries, in place of `wrenches`; see `read_wrenches`.
         wrench_frame: Axes of commanded forces and torques: `world`, the `capsule`'s own, or the
             `gut`'s at the capsule: z along the centerline towards the anal end.
         posture_changes: Changes of the patient's posture over time.

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 DEFAULT_SPEED = 0.01
-"""Default mean speed of a fly-through [m/s], as by peristalsis."""
+"""Default mean speed of a fly-through [m/s], similar to transport by peristalsis."""
 
 _TILT, _SLACK_TILT = 0.15, 0.75
 """Default tilt in an open and in a closed lumen [rad]."""
@@ -158,7 +158,7 @@ def fly_through(
 
 
 def _nominal_speed(settings: FlyThrough) -> float:
-    """Mean speed that was asked for, or the default [m/s]."""
+    """Requested or default mean speed [m/s]."""
     return DEFAULT_SPEED if settings.speed is None else settings.speed
 
 
@@ -304,7 +304,7 @@ def _gives_way(model: Model, settings: FlyThrough) -> bool:
 
 
 def _tilt(model: Model, settings: FlyThrough) -> float:
-    """Maximum tilt that was asked for, or the default [rad]."""
+    """Requested or default maximum tilt [rad]."""
     if settings.tilt is not None:
         return settings.tilt
     return _TILT if model.closed_radius == 0.0 else _SLACK_TILT

@@ -47,14 +47,14 @@ class RandomViews(MotionSettings):
     Attributes:
         lesion_fraction: Fraction of the frames that look at a lesion, each lesion with equal
             probability; the others look at any point of the wall, as do all frames without lesions.
-        nearest: Minimum distance from the first camera to its target [m]; in a closed lumen 4 mm
-            if it is more.
-        farthest: Maximum distance from the first camera to its target [m], in a closed lumen 20 mm
-            if it is more; the logarithm of distances is uniform.
+        nearest: Minimum distance from the first camera to its target [m], at most 4 mm in a closed
+            lumen.
+        farthest: Maximum distance from the first camera to its target [m], at most 20 mm in a
+            closed lumen; the distances are log-uniform.
         obliqueness: Maximum angle between the line of sight and the wall's normal [rad].
         tilt: Maximum angle between the camera's axis and the line of sight [rad].
-        margin: Minimum distance of the cameras and the capsule's center from the wall [m]; in a
-            closed lumen 0.5 mm from the wall at rest if it is more.
+        margin: Minimum distance of the cameras and the capsule's center from the wall [m], at most
+            0.5 mm from the wall at rest in a closed lumen.
         rigid_wall: Whether the wall keeps its shape where the shell reaches into it. Otherwise the
             wall yields to the shell.
     """
@@ -135,7 +135,7 @@ def _targets(
     is_of_lesion: np.ndarray,
     rng: np.random.Generator,
 ) -> Int[np.ndarray, " n"]:
-    """Draw a vertex of the wall for each view: one of a lesion drawn first, or any.
+    """Draw a vertex of the wall for each view: on a random lesion, or anywhere.
 
     Args:
         lesions: Vertices of each lesion.

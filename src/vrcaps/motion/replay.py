@@ -72,7 +72,7 @@ class Replay(MotionSettings):
     def begin(
         self, model: Model, *, frames: int, fps: float, seed: int, shown: Model | None = None
     ) -> Trajectory:
-        """Read the path in a model, see `MotionSettings.begin`; wall at rest, nothing random."""
+        """Read the path in a model, see `MotionSettings.begin`; the wall stays at rest."""
         return replay(model, self, frames=frames, fps=fps)
 
     def __post_init__(self) -> None:

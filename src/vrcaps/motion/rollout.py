@@ -147,7 +147,7 @@ class Rollout:
             settings: Current settings, except for these commands.
 
         Raises:
-            InputError: If no front of phase III passes where one is to start.
+            InputError: If no phase III front passes a position at which one starts.
             UnknownNameError: If there is no muscle for a segment of the wall.
         """
         if settings.phase_three != self.settings.phase_three:

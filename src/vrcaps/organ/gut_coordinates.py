@@ -150,7 +150,8 @@ def _fill_jumps(
 ) -> Float[np.ndarray, " n"]:
     """Arc length with vertices at and next to jumps replaced by the mean of their ring.
 
-    A weak pull to the previous value keeps this solvable where a whole piece of wall is loose.
+    A weak regularization towards the previous values keeps this solvable where a component of the
+    wall is not connected to the rest.
     """
     row, column = graph.coords
     jump = np.abs(arc_length[row] - arc_length[column]) > _STEEPEST * graph.data

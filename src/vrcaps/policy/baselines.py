@@ -36,7 +36,7 @@ _PATIENCE = 4.0
 """Time without progress after which the capsule turns back [s]."""
 
 _TILT = math.radians(70.0)
-"""Angle between the front and the direction of travel."""
+"""Angle between the front and the direction of travel [rad]."""
 
 _TURN = 4.0
 """Period of a rotation about the direction of travel [s]."""

@@ -47,7 +47,7 @@ def read_policy(name: str | Path) -> Policy:
         >>> read_policy("runs/coverage/best.npz")
 
     Raises:
-        UnknownNameError: If there is no baseline and no file of that name.
+        UnknownNameError: If no baseline or file has that name.
         InputError: If the class cannot be imported, or the file holds no policy.
     """
     text = str(name)

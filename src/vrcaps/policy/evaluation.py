@@ -151,7 +151,7 @@ class Evaluation:
             settings: Settings of the evaluation; plain values.
 
         Raises:
-            InputError: If the folder holds an evaluation of something else.
+            InputError: If the folder contains an evaluation with other settings.
         """
         self.folder, self.settings = folder, settings
         self.rows: list[dict[str, Any]] = []

@@ -10,7 +10,7 @@ to that direction and pulls it along the path with the force
 
 with the weight R that rests on the wall, the reduction s of the support of a capsule that rises,
 the speed v* and the direction t along the path, and an integral i that grows while the capsule is
-stopped. A capsule that remains stopped hops, as that of `navigator`.
+stopped. A capsule that remains stopped hops, as in `navigator`.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ _MIN_GAIN = 2e-5
 
 @dataclass(frozen=True)
 class Reading:
-    """Values of one world that a device has, relative to the tracker's origin.
+    """Values of one world that a device can measure, relative to the tracker's origin.
 
     Attributes:
         T_capsule: Estimated pose of the capsule.
@@ -233,7 +233,7 @@ class Drive:
         return self._actuation.towards(angles, wanted, self.dt)
 
     def _gentlest(self, action: np.ndarray, reading: Reading) -> np.ndarray:
-        """The action with as much of its rotation as keeps the force near the wanted one."""
+        """Action with as much rotation as keeps the force near the desired one."""
         actuation, best = self._actuation, (np.inf, action)
         assert isinstance(actuation, MagnetActuation)
         for part in _PARTS:

@@ -148,8 +148,8 @@ def read_mlp_policy(path: Path) -> MlpPolicy:
     """Read a policy that `write_mlp_policy` wrote.
 
     Raises:
-        InputError: If the file holds none, one of another version of vrcaps, layers that do not fit
-            each other or the observations, or values that are not finite.
+        InputError: If the file contains no policy, one of another version of vrcaps, layers that do
+            not fit each other or the observations, or values that are not finite.
     """
     try:
         arrays = read_arrays(path, _MAX_BYTES)
@@ -179,7 +179,7 @@ def _settings_of(form: Any, plain: dict[str, Any]) -> dict[str, Any]:
     """Parse the settings of a policy's file.
 
     Raises:
-        InputError: If the format is another, or a setting is missing, unknown or not allowed.
+        InputError: If the format differs, or a setting is missing, unknown or not allowed.
     """
     if form != _FORMAT:
         raise InputError(f"its format is {form}, not {_FORMAT}")

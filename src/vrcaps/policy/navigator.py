@@ -244,9 +244,9 @@ class ForceController:
     def force_error(
         self, T_world_capsule: Float[np.ndarray, "4 4"], T_world_magnet: Float[np.ndarray, "4 4"]
     ) -> float:
-        """Maximum difference between the force of a magnet and the wanted one [N].
+        """Maximum difference between the force of a magnet and the desired one [N].
 
-        Of the capsule as it lies, and of one that has turned into the magnet's field.
+        Over two poses: the capsule as it lies, and aligned with the field of the magnet.
         """
         sources = SourceSet([replace(self._magnet, T_world_magnet=T_world_magnet)])
         aligned = T_world_capsule.copy()

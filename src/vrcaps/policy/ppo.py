@@ -248,7 +248,7 @@ def imitate(learner: Ppo, teacher: Policy) -> dict[str, float]:
 
 
 def taught_settings(env: EnvSettings, teacher: Policy, name: str) -> EnvSettings:
-    """Settings of an environment with the observations of a teacher of some name added.
+    """Settings of an environment with the observations of the named teacher added.
 
     Raises:
         InputError: If the teacher does not fit the actuation or the observations.

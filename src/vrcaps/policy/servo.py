@@ -151,7 +151,7 @@ def _magnet(
     velocity: Float[np.ndarray, "n 3"],
     spin: Float[np.ndarray, "n 3"],
 ) -> np.ndarray:
-    """Twist of the magnet towards a pose that exerts the wanted force and torque on the capsule.
+    """Twist of the magnet towards a pose that exerts the desired force and torque on the capsule.
 
     It supports all but a small part of the weight, so that the capsule rests on the wall below it:
     a capsule that hangs freely under a magnet has no stable position.

@@ -88,9 +88,10 @@ def train(
         report: Called after each round.
 
     Raises:
-        InputError: If the folder holds something else, or a training of other settings or versions,
-            the start does not fit the settings, or the teacher acts by no observations.
-        UnknownNameError: If there is no organ or no capsule of a name.
+        InputError: If the folder contains other files, or a training with other settings or
+            versions, the start does not fit the settings, or the teacher does not act on
+            observations.
+        UnknownNameError: If an organ or the capsule is unknown.
         MissingExtraError: If a package of the learner is not installed.
     """
     check_names(settings.env.organs, settings.env.capsule)
@@ -343,8 +344,8 @@ def default() -> TrainingSettings:
     """Default preset: visible coverage, with observations that are the same for every organ.
 
     Observations and actions are in the capsule's frame, so that a policy generalizes over poses.
-    In free motion, the capsule reaches 55 mm/s and about 2 rad/s. The last hundredths are rewarded
-    as well, and no episode ends early, so that the policy seeks full coverage.
+    In free motion, the capsule reaches 55 mm/s and about 2 rad/s. The last percent is rewarded as
+    well, and no episode ends early, so that the policy seeks full coverage.
     """
     env = EnvSettings(
         task=CoverageTask(target=1.0),

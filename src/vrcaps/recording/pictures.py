@@ -115,7 +115,7 @@ def legend(
     limits: tuple[float, float],
     label_names: tuple[str, ...],
 ) -> str:
-    """Legend of a channel's pictures, to follow its name.
+    """Legend of a channel's pictures, appended to its name.
 
     Args:
         channel: Name of the channel.

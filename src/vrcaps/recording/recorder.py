@@ -92,7 +92,7 @@ def record(
         The folder.
 
     Raises:
-        InputError: If the scenario is invalid, or the folder holds anything else.
+        InputError: If the scenario is invalid, or the folder contains anything else.
         StorageError: If the files cannot be written; existing files are kept.
     """
     out = Path(out)

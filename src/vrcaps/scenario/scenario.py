@@ -147,8 +147,8 @@ class Scenario:
             fly-through, turbid fluid, film on the dome) are drawn by their prevalence in a
             generated organ; otherwise the lumen is empty and the others have fixed defaults.
         effects: Effects of lens and sensor; None for an effect is the capsule's own, and a range
-            is sampled to one severity by the seed. A file can also contain a string as of
-            `parse_effects`, such as none.
+            is sampled to one severity by the seed. A file can also contain a string in the syntax
+            of `parse_effects`, such as `none`.
         sensors: Further measurements in each frame: motion, magnetic field and position of the
             capsule.
     """
@@ -193,7 +193,7 @@ class Scenario:
 
 
 def organ_named(organ: str) -> OrganGenerated | OrganFile:
-    """Organ with a name, or from a file if the text is a path."""
+    """Organ with a name, or from a file if the string is a path."""
     path = Path(organ)
     is_path = bool(path.suffix) or len(path.parts) > 1 or path.is_file()
     return OrganFile(organ) if is_path else OrganGenerated(organ)

@@ -67,14 +67,15 @@ PREVALENCES: Mapping[str, Prevalence] = MappingProxyType(
 """Prevalences by generated organ. All are assumed; those of the small bowel follow estimates from
 real frames: turbid fluid in a third, an open round lumen in fewer than one in ten, and a third to
 a half of the frames soft. Bubbles are drawn everywhere; a third of real frames of the small bowel
-have them. Chyme and pools are none: they are not known to bring images nearer to real ones."""
+have them. Chyme and pools are absent, since there is no evidence that they make images more
+realistic."""
 
 
 def varied(scenario: Scenario) -> Scenario:
     """Return the scenario with its open settings drawn by prevalence.
 
     Settings that are given stay. Without `Scenario.variation`, or for an organ from a file,
-    contents that are open are none and other open settings stay open. Distension and contents
+    open contents are empty and other open settings stay open. Distension and contents
     depend on the seeds of the patient, `organ.seed` and `contents.seed`; the tilt on that of the
     recording. Quasi-static motion gets no bubbles, chyme or liquid, which move with inertia.
     """
@@ -184,7 +185,7 @@ def _medium(mean: float, rng: np.random.Generator) -> Medium | int:
 
 
 def _film(mean: float, rng: np.random.Generator) -> Film | int:
-    """Film on the dome in one recording: how often it is there, and its thickness."""
+    """Film on the dome in one recording: how often it occurs, and its thickness."""
     prevalence = _fraction(mean, rng)
     thickness = Film().thickness * math.exp(float(rng.normal(0.0, 0.3)))
     if prevalence == 0.0:

@@ -62,8 +62,8 @@ class BatchState:
 class WorldBatch(Generic[Member]):
     """Several worlds, stepped and read in one call each, on all processors.
 
-    Each world gets the same bytes as alone. `RAYON_NUM_THREADS` sets the number of threads. Methods
-    take the indices of the worlds that they concern; None is all.
+    Each world evolves byte for byte as if it were stepped alone. `RAYON_NUM_THREADS` sets the
+    number of threads. Methods take the indices of the worlds that they concern; None is all.
 
     Example:
         >>> batch = WorldBatch([World(model, seed=k) for k in range(16)])

@@ -184,7 +184,7 @@ class Model:
 
     @cached_property
     def _anchors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Place on the wall of each sphere of the contents at rest."""
+        """Wall location of each sphere of the contents at rest."""
         assert self.lumen_contents is not None
         spheres, faces = self.lumen_contents.spheres, self.organ.faces
         return wall_anchors(spheres, self.wall, self.vertices_world, faces)

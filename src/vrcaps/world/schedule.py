@@ -272,7 +272,7 @@ def check_posture_changes(changes: tuple[PostureChange, ...], where: str) -> Non
 
 
 def require_series(rows: Sequence[tuple[float, ...]], where: str) -> None:
-    """Check that all numbers in rows are finite and times, their first, increase.
+    """Check that rows are finite and that times, in their first column, increase.
 
     Raises:
         InputError: If not; names the entry.

@@ -77,16 +77,16 @@ class LumenClosure:
     Every cross-section contracts: towards the axis of the capsule where it lies, and towards a slit
     on a course close to the centerline elsewhere. A point at a distance r from the centerline moves
     to the smooth maximum of r − d and a minimum radius, which increases with r; d is the difference
-    between the section's mean radius and the wanted one: that of the capsule around it, about
-    `radius` beyond a funnel before and behind it, both by the local tone. So folds keep
-    their height until they meet and stay in their order, and sections do not cross. Points then
-    move along the slit, by a map that is one to one: (r, φ) to ((r + L) cos φ, r sin φ), for a slit
-    of half length L, and a slight bend.
+    between the section's mean radius and the desired one: that of the capsule around it, about
+    `radius` beyond a funnel before and behind it, both by the local tone. Folds therefore keep
+    their height until they meet and stay in order, and sections do not cross. Points then move
+    along the slit, by a one-to-one map: (r, φ) to ((r + L) cos φ, r sin φ), for a slit of
+    half length L, and a slight bend.
 
     The circular muscle shortens the wall, and the mucosa, which does not, buckles into folds. Their
-    height is proportional to √(R² − r²) for a section that closes from a radius R to r, as that of
-    sinusoidal pleats that keep the perimeter, r² + n² A² / 2 = R². Pockets of gas or fluid hold the
-    lumen open: there the wall stays at rest, in part or in full. Lengths, shares and sizes of
+    height is proportional to √(R² − r²) for a section that closes from a radius R to r, as for
+    sinusoidal pleats that preserve the perimeter, r² + n² A² / 2 = R². Pockets of gas or fluid hold
+    the lumen open: there the wall stays at rest, in part or in full. Lengths, shares and sizes of
     folds, slit and pockets are estimates from capsule frames.
 
     Attributes:
@@ -263,7 +263,7 @@ class LumenClosure:
 
 
 def closure_of(model: Model) -> LumenClosure | None:
-    """Closure that the metadata of a model's organ ask for; None leaves the lumen open.
+    """Closure that the metadata of a model's organ request; None leaves the lumen open.
 
     Raises:
         InputError: If the metadata are invalid.
@@ -294,9 +294,9 @@ class WallDisplacement:
 
     Within two radii of the body's axis, space is stretched away from it: a point at a distance d
     moves to d' = R + R ((d - d₀) / (2R - d₀))^p, where d₀ is the wall's minimum distance from the
-    axis and p = (2R - d₀) / R, with which the map is smooth at its boundary. It is one to one, so
-    the wall never self-intersects, touches the shell where it was nearest, and is unchanged where
-    the capsule has clearance. `vrcaps.world.world` contains the mechanics.
+    axis and p = (2R - d₀) / R, with which the map is smooth at its boundary. The map is one-to-one,
+    so the wall never self-intersects, touches the shell where it was nearest, and is unchanged
+    where the capsule has clearance. `vrcaps.world.world` contains the mechanics.
 
     Attributes:
         model: The lumen and the capsule that moves in it.

@@ -40,7 +40,7 @@ class LensPinhole:
     (Brown, Photogrammetric Engineering 37(8), 1971.) The field is the disk of points with Z > 0
     in which the distortion cannot fold over: its Jacobian is symmetric, its eigenvalues are at
     least ``min(g, g + r dg/dr) - 6 |(p1, p2)| r``, and a map of a disk whose symmetric Jacobian is
-    positive is one to one.
+    positive is one-to-one.
 
     Example:
         >>> lens = vrcaps.LensPinhole(fx=200.0, fy=200.0, cx=159.5, cy=159.5)

@@ -44,9 +44,9 @@ _MAX_ANSWERS = 1000
 _MAX_CONNECTIONS = 32
 _MAX_SUBSCRIPTIONS = 100
 _RATE, _BURST = 500.0, 1000.0
-"""Requests per second that a client may send, and at once."""
+"""Requests per second that a client may send, and size of a burst."""
 _SEND_TIMEOUT = 10.0
-"""Time [s] after which a client that takes no data loses its connection."""
+"""Time [s] after which a client that reads no data is disconnected."""
 _POLICY_VIOLATION = 1008
 _TRY_AGAIN = 1013
 
@@ -60,7 +60,7 @@ class _Subscription:
     last: float = float("-inf")
 
     def is_due(self, time: float) -> bool:
-        """Whether a message at a simulated time [s] is to be sent."""
+        """Whether a message at a simulated time [s] should be sent."""
         if self.last < float("inf") and 0.0 <= time - self.last < self.throttle - 1e-9:
             return False
         self.last = time

@@ -85,7 +85,7 @@ class Operator:
         return "" if driver is None else driver.name
 
     def start_policy(self, driver: PolicyDriver) -> None:
-        """Let a policy drive until it hands back or there is human input."""
+        """Let a policy drive until it ends control or there is human input."""
         self.stop()
         with self._lock:
             self._driver = driver
@@ -234,7 +234,7 @@ class PolicyDriver:
             seed: Random seed of the policy.
             goal: Target of a policy that navigates, as a fraction of the centerline; None leaves it
                 to the policy.
-            on_message: Called with the reason for which the policy hands back.
+            on_message: Called with the reason why the policy ends control.
 
         Raises:
             InputError: If it is not a policy, or not one that can move a magnet.
@@ -253,7 +253,7 @@ class PolicyDriver:
         self._axes, self._time, self._due = np.zeros(6), -np.inf, -np.inf
 
     def axes(self, time: float) -> Float[np.ndarray, " 6"] | None:
-        """Joystick axes at a time [s], called from the stepping thread; None hands back."""
+        """Joystick axes at a time [s], or None to end control; called by the stepping thread."""
         if time < self._due - _TOLERANCE:
             return self._axes
         try:

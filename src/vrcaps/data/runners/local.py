@@ -38,7 +38,7 @@ class Runner(Protocol):
 
 
 def num_processors() -> int:
-    """Number of processors available to this process; a cluster job has only some of a machine."""
+    """Number of processors available to this process; a cluster job may not have all."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

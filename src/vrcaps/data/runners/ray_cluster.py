@@ -40,7 +40,7 @@ class RayCluster:
     Attributes:
         address: `local` starts a cluster on this machine and stops it at the end; `auto` joins the
             cluster of this machine; ``HOST:PORT`` is the address of the head node.
-        workers: Units made at once; None makes one per processor of the cluster.
+        workers: Number of concurrent units; None runs one per processor of the cluster.
     """
 
     address: str
@@ -156,7 +156,7 @@ def _require_head(address: str) -> None:
 
     Raises:
         InputError: If it does not.
-        ConnectionError: If this machine belongs to no cluster.
+        ConnectionError: If this machine does not belong to a cluster.
     """
     from ray._private.services import canonicalize_bootstrap_address
 

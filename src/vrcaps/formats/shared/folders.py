@@ -88,7 +88,7 @@ def recordings(
 
 
 def find_folders(folder: Path, mark: str) -> Iterator[tuple[Path, str | None]]:
-    """Sorted folders that hold a file of a name, with their split.
+    """Sorted folders that contain a file with a given name, with their split.
 
     Args:
         folder: One sequence, or a folder of sequences at any depth.

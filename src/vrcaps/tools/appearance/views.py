@@ -88,7 +88,7 @@ def central_view(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "s s 3"
 
 
 def _extent(filled: NDArray) -> tuple[int, int]:
-    """First and last-but-one index of the lines that belong to the picture."""
+    """First and end index of the lines that belong to the picture."""
     lines = np.flatnonzero(filled > _MIN_FILLED)
     return (int(lines[0]), int(lines[-1]) + 1) if lines.size else (0, len(filled))
 

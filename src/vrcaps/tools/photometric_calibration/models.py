@@ -205,7 +205,7 @@ def wall_color(frames: Frames) -> WallColor | None:
 BLOCK = 16
 _STRIDE = 8
 _FLATTEST = 0.1
-"""Fraction of the blocks of a brightness that are considered flat: texture adds variance."""
+"""Fraction of the blocks at a brightness that are treated as flat; texture adds variance."""
 _CORRELATION = (1.0 + 2.0 * (4.0 / 6.0) ** 2 + 2.0 * (1.0 / 6.0) ** 2) ** 2
 """Sum of the squared autocorrelation of white noise after the filter [1 -2 1] both ways."""
 MAX_ELECTRONS = 1e6

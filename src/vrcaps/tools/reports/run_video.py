@@ -151,7 +151,7 @@ def _poses(curves: dict[str, np.ndarray]) -> Float[np.ndarray, "t 4 4"]:
 
 
 def _patient(settings: EnvSettings, name: str) -> Patient:
-    """Return the patient of a name, with its textures."""
+    """Return the patient with a name, with its textures."""
     organ = next(o for o in settings.organs if organ_name(o) == name)
     settings = replace(settings, organs=(organ,))
     return settings.patients(with_textures=True)[0]

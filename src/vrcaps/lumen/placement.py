@@ -36,7 +36,7 @@ _LONGEST = 5.0
 """Maximum of the length of a raft, along a crease, over its width."""
 _MANY = 8.0
 """Number of bubbles in a raft from which their size is not limited; in smaller rafts the maximum
-radius is proportional to the square root of the number, because large bubbles form where small ones
+radius is proportional to the square root of that number, because large bubbles form where small ones
 coalesce."""
 _LIFT_CHYME = 0.4
 _BOUND = 0.45

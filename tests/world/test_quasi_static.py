@@ -190,7 +190,9 @@ def test_the_wall_and_the_sources_carry_what_the_capsule_weighs(model: Model) ->
 
 def test_refuses_what_has_inertia(model: Model) -> None:
     contents = Contents(bubbles=2)
-    with pytest.raises(InputError, match=r"quasi-static, but what floats.*or choose physics"):
+    with pytest.raises(
+        InputError, match=r"quasi-static, but matter in the lumen.*or choose physics"
+    ):
         World(Model(model.organ, model.device, contents=contents), dynamics="quasi-static")
     with pytest.raises(InputError, match=r"quasi-static, but a layer of finite elements"):
         World(model, Tissue(deformation=FemDeformation()), dynamics="quasi-static")

@@ -264,7 +264,7 @@ def coil_array_names() -> tuple[str, ...]:
 def read_coil_array(given: str | Path | CoilArray) -> CoilArray:
     """Read a coil array by its name or TOML file; an array in memory is unchanged.
 
-    Field maps in a file are relative to its folder, and in it.
+    Paths of field maps in a file are relative to its folder and must not lead out of it.
 
     Raises:
         UnknownNameError: If the catalog has no such array.

@@ -189,8 +189,8 @@ class CoilProgram:
         T_world_array: Pose of the array.
         sources: One source of 1 A for each coil; its strength in a world is the current.
         status: State after the last command.
-        target: Force [N] and torque [N·m] that the last joystick command asks for.
-        operator: Callback for live steering, as of `SteeringProgram`.
+        target: Force [N] and torque [N·m] that the last joystick command requests.
+        operator: Callback for live steering, see `SteeringProgram`.
         current_operator: Callback for live currents: returns the current of each coil [A] at a
             time [s] for a duration [s]; all other commands are then ignored.
     """

@@ -39,8 +39,8 @@ class Led:
     """A small light source fixed to a camera.
 
     Radiant intensity at angle φ from its direction is ``intensity · max(cos φ, 0)^lobe_exponent``;
-    exponent 1 is a Lambertian emitter, 0 an isotropic one. The light leaves an evenly luminous
-    disc across the direction, or a point if `emitter_radius` is 0.
+    exponent 1 is a Lambertian emitter, 0 an isotropic one. The emitter is a uniform disc
+    perpendicular to the direction, or a point if `emitter_radius` is 0.
 
     Example:
         >>> led = vrcaps.Led((3.5e-3, 0.0, 0.0), intensity=(2e-3, 2e-3, 2e-3))
@@ -188,7 +188,7 @@ class Camera:
 
 
 def check_names(cameras: Sequence[Camera]) -> None:
-    """Check that the cameras' folder names differ, also if case is ignored.
+    """Check that the cameras' folder names differ, even if case is ignored.
 
     Raises:
         InputError: If two cameras share a name.

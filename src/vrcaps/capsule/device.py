@@ -45,7 +45,7 @@ class Device:
         led_spectrum: Wavelengths [nm], increasing, and relative power of its white LEDs; linear in
             between, zero outside. None is a blue LED under a yellow phosphor.
         source: Source of the parameters.
-        metadata: Further plain facts, stored with the device but not used.
+        metadata: Additional facts, stored with the device but not used.
     """
 
     length: float = field(metadata={"unit": "mm"})
@@ -183,7 +183,7 @@ def channel_weights(spectrum: Spectrum) -> Float[np.ndarray, "3 n"]:
     """Fraction of each of `WAVELENGTHS` in the light of the camera's red, green and blue.
 
     Raises:
-        InputError: If a color gets hardly any light, so that white cannot be balanced.
+        InputError: If a color receives too little light for white balance.
     """
     wavelength, power = np.array(spectrum).T
     light = np.interp(WAVELENGTHS, wavelength, power, left=0.0, right=0.0)
@@ -200,7 +200,7 @@ def channel_weights(spectrum: Spectrum) -> Float[np.ndarray, "3 n"]:
 
 
 def check_spectrum(spectrum: Spectrum) -> None:
-    """Check that a spectrum has rising wavelengths, power, and light in every color.
+    """Check that a spectrum has increasing wavelengths, power, and light in every color.
 
     Raises:
         InputError: If one of these is missing.

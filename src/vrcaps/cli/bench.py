@@ -22,7 +22,7 @@ class Render(_Measurement):
     """Measure rendering speed.
 
     Subjects alternate in one process, so ratios remain valid on a busy machine. Prints the speed
-    claims of the project with the measured values; takes some minutes.
+    claims of the project with the measured values; takes a few minutes.
 
     For example:
       vrcaps bench render

@@ -45,13 +45,13 @@ class CompareLooks:
     """Images to compare."""
 
     real: Positional[str]
-    """Real images, the reference. Near-duplicates are left out."""
+    """Real images, the reference. Near-duplicates are excluded."""
 
     second_real: str = ""
     """Real images of another recorder, whose distance is the unit of R."""
 
     other: UseAppendAction[tuple[str, ...]] = ()
-    """Further set to compare, NAME=SOURCE; repeat for more."""
+    """Additional set to compare, NAME=SOURCE; repeat for more."""
 
     max_images: int = 300
     """Maximum number of images of each set, drawn at random, 12 or more; 22 per patient."""

@@ -60,7 +60,7 @@ class Make:
     """Print the number of recordings and frames to make, then exit."""
 
     estimate: bool = False
-    """Print also estimates of duration and disk space, measured in minutes, then exit."""
+    """Also measure and print expected duration and disk space (a few minutes), then exit."""
 
     def run(self) -> None:
         """Make and report.
@@ -245,9 +245,9 @@ def _estimate(units: Units, missing: Sequence[int], out: str) -> None:
 class Composite:
     """Composite rendered lesions into real images without lesions, with exact masks.
 
-    The change of the rendered wall by a lesion, from a recording and its clean twin, is applied to
-    random images, which keep their light. Others show films of blood or no lesion; half of all show
-    other fluids. The plan needs radiance, instance and clean_twin = { each = [false, true] }.
+    A lesion's change of the rendered wall, from a recording and its clean twin, is applied to random
+    images, which keep their light. Others show films of blood or no lesion; half show other fluids.
+    Requires a plan with channels radiance and instance, and clean_twin = { each = [false, true] }.
 
     For example:
       vrcaps dataset composite runs/pairs --into photos/normal --out runs/composites

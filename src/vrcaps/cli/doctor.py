@@ -19,8 +19,8 @@ _MIN_FREE_GB = 5.0
 class Doctor:
     """Report the installed and usable parts, and how to install missing ones.
 
-    Version, CPU features and threads, catalogs, the folders of cache and weights, and the packages
-    of each extra.
+    Lists version, CPU features and threads, catalogs, the folders of cache and weights, and
+    packages of each extra.
 
     For example:
       vrcaps doctor

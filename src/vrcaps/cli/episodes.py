@@ -188,9 +188,9 @@ class View:
 class Scene:
     """Write the scene of an episode at a frame for other simulators: MJCF for MuJoCo, or USD.
 
-    It holds the wall, the capsule with its mass and, if the capsule was steered, the magnet and the
-    arm. Coils are not part of it. The wall is that of the frame if it was recorded with --wall,
-    else at rest.
+    The scene contains the wall, the capsule with its mass and, if the capsule was steered, the
+    magnet and the arm. Coils are not exported. The wall is deformed as in the frame if it was
+    recorded with --wall, otherwise at rest.
 
     For example:
       vrcaps scene runs/steer --out steer.xml

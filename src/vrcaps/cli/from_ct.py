@@ -46,10 +46,10 @@ class FromCt:
     """Folder of DICOM slices, or a NIfTI, NRRD or MetaImage file."""
 
     out: Path = Path("organ.glb")
-    """File to write; with several organs, their names or numbers are appended to the name."""
+    """File to write; with several organs, their names or indices are appended to the name."""
 
     series: str | None = None
-    """DICOM series of a folder with several: its number in the list, or its UID."""
+    """DICOM series of a folder with several: its index in the list, or its UID."""
 
     labels: Path | None = None
     """Label map or mask on the scan's grid."""

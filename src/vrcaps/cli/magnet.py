@@ -43,7 +43,7 @@ class List:
 
 @dataclass(frozen=True)
 class Show:
-    """Show moment, mass, field map, and pull against distance of a magnet.
+    """Show the moment, mass and field of a magnet, and its pull as a function of distance.
 
     The magnet is a name of `vrcaps magnet list` or a TOML file with kind (cylinder, ring, block or
     sphere), size, and one of grade, remanence_t and moment_a_m2.

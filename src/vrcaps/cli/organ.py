@@ -268,7 +268,7 @@ def _require_unit(unit: str | None, path: Path) -> str:
 
 @dataclass(frozen=True)
 class List:
-    """List the built-in organs, lesions, mucosae, effects and capsules, and next commands.
+    """List the built-in organs, lesions, mucosae, effects and capsules, and commands to try.
 
     For example:
       vrcaps organ list

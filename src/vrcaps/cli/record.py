@@ -105,7 +105,7 @@ class Record:
     The result is an episode: images by camera and channel, a table of poses, the organ as GLB, a
     contact sheet and a preview. To resume an interrupted run, repeat the command.
 
-    Turbid fluid, the film on the dome, tilt and distension, where they are left open, are drawn by
+    Unless they are set, turbid fluid, the film on the dome, tilt and distension are drawn by
     prevalence in a generated organ; --set variation=false leaves the lumen empty.
 
     A scenario file describes a whole recording; flags and --set change single values of it. Every

@@ -87,11 +87,11 @@ def _entry(flag: str, setting: Setting) -> tuple[str, Any, Any]:
 
 _LESION = """Lesion to put into the organ; repeat for more. A kind, then the settings that differ
 from its defaults: polyp-Ip:size=12mm,segment=sigmoid, colitis-2, bleeding-3. vrcaps organ list
-has all."""
+lists all."""
 _EFFECTS = """Camera effects by severity 0 to 4, such as dof=1,noise=2, noise=1..3 (a range, sampled
 by the seed), all=2, random, ae=settled, bayer=rggb, afr=4..35; default is the capsule's own camera,
 none an ideal camera of fixed exposure. An effect that is not named is the capsule's own. vrcaps
-organ list has all effects."""
+organ list lists all effects."""
 
 OrganFlags = _flags(
     "Organ",

@@ -44,7 +44,7 @@ class Texture:
     """Size of a photograph's pixel on the wall [mm]."""
 
     field_width_mm: float | None = None
-    """Or: the width of wall in the visible field [mm]; about 30 near the wall."""
+    """Alternative scale: width of wall in the visible field [mm]; about 30 near the wall."""
 
     size: int = 2048
     """Side of the texture [texels]; a texel has the size of a pixel of the best photograph."""

@@ -61,7 +61,7 @@ class Pull:
     """Folder or URL with an index.json and the files; by default that in VRCAPS_WEIGHTS."""
 
     out: Path | None = None
-    """Folder to write; by default the user's data folder, where all commands look."""
+    """Folder to write; by default the user's data folder, which all commands search."""
 
     def run(self) -> None:
         """Fetch and report.

@@ -122,7 +122,7 @@ class Hub:
     """All connections of the page.
 
     Attributes:
-        receiver: Page that serves them; None refuses connections.
+        receiver: Page that serves them; None rejects connections.
     """
 
     def __init__(self, on_message: Callable[[str], None]) -> None:

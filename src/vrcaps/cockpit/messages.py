@@ -300,7 +300,7 @@ class Acknowledgement:
 
     Attributes:
         id: ID of the command.
-        error: Why it was refused; empty if it was accepted.
+        error: Reason why it was rejected; empty if it was accepted.
         field: Field of the command that the error is about; empty for the whole.
     """
 

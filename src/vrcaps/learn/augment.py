@@ -37,9 +37,10 @@ _OTHERS = {
     "shadow": (np.array([0.02, 0.012, 0.008]), np.array([1.5, 2.0, 2.4]) / MM),
     "murky": (np.array([0.05, 0.022, 0.025]), np.array([2.0, 3.0, 3.0]) / MM),
 }
-"""The same of fluids without blood, and of an unlit hollow as if light were absorbed."""
+"""The same for fluids without blood, and for an unlit cavity modeled as absorption."""
 _VISIBLE = 0.7
-"""Optical density in green from which a film of blood belongs to the mask: half the light."""
+"""Optical density in green from which a film of blood is in the mask: half the light is
+absorbed."""
 _LIGHT_BLUR = 0.03
 """Standard deviation of the blur that separates illumination from texture, relative to the longer
 side of the image."""
@@ -250,7 +251,7 @@ def _film(
 def _form(
     image: UInt8[np.ndarray, "h w 3"], draw: np.random.Generator, area: tuple[float, float]
 ) -> tuple[Float[np.ndarray, "h w"], float]:
-    """Random function with a standard deviation of 1 and the level above which fluid is.
+    """Random function with a standard deviation of 1, and the level above which there is fluid.
 
     Fluid forms clouds, pools in dark folds, streaks, or a pool at one side of the image.
     """

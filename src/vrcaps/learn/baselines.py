@@ -34,7 +34,7 @@ _LEVELS = np.linspace(0.02, 0.98, 25)
 
 
 def log_depth_baselines(samples: Sequence[Sample], groups: Sequence[str]) -> dict[str, Outputs]:
-    """Ln of depth [m] [s s] of each frame: one constant, the mean image, and by brightness.
+    """Logarithm of depth [m] [s s] of each frame: one constant, the mean image, and by brightness.
 
     By brightness, depth is proportional to one over the root of blurred linear brightness: exact
     for LEDs at the lens, a wall of one color that faces the camera, and known exposure.

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 Pair: TypeAlias = tuple[FrameSequence, FrameSequence]
 """A recording with lesions and its clean twin."""
 _RATIOS = (1.0 / 64.0, 2.0)
-"""Limits of a quotient: black wall and highlights have no meaningful one."""
+"""Limits of a quotient, which is meaningless for black wall and highlights."""
 _DARKEST = 1e-3
 """Minimum radiance of the clean view, relative to its 95 % quantile; darker pixels keep a quotient
 of 1."""
@@ -64,7 +64,7 @@ _HIDING = 1.0
 _QUALITY = (80, 95)
 """Range of the JPEG quality of written images."""
 _DRAWS = 8
-"""Draws of a position of a lesion until it lies in the tissue."""
+"""Maximum number of draws of a lesion's position until it lies in the tissue."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class CompositeSettings:
         normal: Fraction of images without a lesion. Half of all images have bile, shadow or murky
             fluid.
         fluid: Fraction of the images with a lesion that show films of blood or hemorrhagic mucosa
-            instead of a rendered lesion, and a fourth of which show both.
+            instead of a rendered lesion; a fourth of these show both.
         min_fraction: Minimum fraction of the image that a lesion covers.
         seed: Random seed.
     """
@@ -184,9 +184,9 @@ def composite(
     Args:
         image: Image without a lesion.
         patch: Change by the lesion, of the same size.
-        hue: How far an opaque lesion keeps its rendered hue, 0 to 1. With 0 the hue of the wall,
-            relative to that of the rendered one, is taken for a color cast of the camera, with 1
-            for the wall's own, which an opaque lesion hides.
+        hue: Degree to which an opaque lesion keeps its rendered hue, 0 to 1. With 0 the hue of the
+            wall, relative to that of the rendered one, is taken for a color cast of the camera,
+            with 1 for the wall's own, which an opaque lesion hides.
 
     Returns:
         The image, and the mask of the lesion: that of the patch within the field of view.
@@ -260,7 +260,7 @@ def write_composites(
 
     The folders `bleeding` and `bleeding_mask`, and so on, are those that `images:` reads, for
     segmentation of any lesion and for classification. Normal images are treated alike, so neither
-    compression nor exposure is a sign of a lesion. The same arguments give the same files.
+    compression nor exposure reveals a lesion. The same arguments give the same files.
 
     Args:
         pairs: Recordings and clean twins, see `lesion_pairs`.

@@ -36,7 +36,7 @@ _MAX_TEXT_BYTES = 10**6
 _MAX_BYTES = 10**10
 """Maximum size of a file of weights."""
 _TIMEOUT = 30.0
-"""Time after which a silent web server is given up [s]."""
+"""Timeout of a web server that does not respond [s]."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class PublishedWeights:
     """Published weights, an entry of the index.
 
     Attributes:
-        name: The task, for its default weights, or the task, a dash and more.
+        name: The task, for its default weights, or the task with a suffix after a dash.
         task: Name of the task.
         file: Name of the file next to the index.
         sha256: Its checksum, in hexadecimal.
@@ -132,7 +132,7 @@ def pull(
 ) -> tuple[PublishedWeights, ...]:
     """Copy published weights and their cards from a folder or URL, and check their checksums.
 
-    Files that are there already, with the checksum of the index, are not copied again.
+    Existing files with the checksum of the index are not copied again.
 
     Args:
         source: Folder or URL with an index.
@@ -166,7 +166,7 @@ def pull(
 
 
 def _copy(source: str, entry: PublishedWeights, folder: Path) -> None:
-    """Store a file and its card in a folder, unless the file is there already."""
+    """Store a file and its card in a folder, unless the file exists."""
     try:
         if _store(source, entry, folder / entry.file):
             with suppress(InputError):  # a card is not required
@@ -179,7 +179,7 @@ def _copy(source: str, entry: PublishedWeights, folder: Path) -> None:
 
 
 def _store(source: str, entry: PublishedWeights, path: Path) -> bool:
-    """Store a published file with the checksum of the index; False if it is there already."""
+    """Store a published file with the checksum of the index; return False if it exists."""
     if path.is_file() and file_sha256(path) == entry.sha256:
         return False
     data = _read(source, entry.file, entry.bytes)

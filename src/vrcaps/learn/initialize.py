@@ -26,7 +26,7 @@ def initialized_network(task: Task, start: str) -> nn.Module:
     any lesion. A checkpoint of a similar task counts as one of the same task: `sfm` starts with the
     network of `depth`. From a checkpoint of another task, the encoder is copied. The rest of a
     network is then initialized from ImageNet weights if the checkpoint was, and if these weights
-    need no hub.
+    need no download.
 
     Args:
         task: The task and its settings.

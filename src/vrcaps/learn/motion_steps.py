@@ -93,7 +93,7 @@ def aligned(
         other: Colors of the neighbors.
         ray: Unit rays [b 3 s s], zero where the lens has none.
         log_distance: ln of the distances along the rays [b 1 s s], in units of the translation.
-        starts: Motions to start from [b 6], besides none; the result has the smallest cost.
+        starts: Initial motions [b 6] besides zero motion; the result has the smallest cost.
     """
     lens = lens_maps(ray)
     middle = mean_log(log_distance, lens.known > 0.0)
@@ -296,7 +296,7 @@ def step_between(before: Encoded, here: Encoded, moves: MotionNetwork, *, aligns
 
 
 def common_region(sequence: FrameSequence, frames: NDArray) -> Region:
-    """Rows and columns within the black border of all of a few frames; all in a recording."""
+    """Rows and columns within the black border of a few frames; all of them for a recording."""
     camera = cast("Camera", sequence.camera)
     whole = slice(0, camera.height), slice(0, camera.width)
     if sequence.episode is not None:

@@ -117,7 +117,7 @@ def _nearest(array: NDArray, box: tuple[float, ...]) -> NDArray:
 
 
 _MAX_FLOW = 28.0
-"""Maximum flow that the flow is trained on [px]."""
+"""Maximum true flow that is used in training [px]."""
 _COARSE, _LIKELIHOOD = 0.5, 0.2
 """Weights of the flow of the coarse grid and of the standard deviation, relative to the flow."""
 _SHORT = 5e-4

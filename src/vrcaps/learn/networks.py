@@ -18,9 +18,9 @@ from vrcaps.core.errors import InputError, UnknownNameError, import_extra, requi
 
 ENCODER = "tf_efficientnet_lite0"
 """EfficientNet-Lite0: 3.4 million parameters in the encoder, fast on CPUs. Its ImageNet weights
-come in a package, so that they need no hub."""
+come in a package, so that they need no download."""
 MAX_SIZE = 2048
-"""Maximum side of a network's images [px], since a checkpoint may state any."""
+"""Maximum side of a network's images [px], since a checkpoint may state any size."""
 _STRIDE = 32
 _DECODER = (128, 64, 48, 32, 24)
 _LEAK = 0.2
@@ -200,7 +200,7 @@ def feature_network(encoder: str, device: str) -> FeatureNetwork:
     It has fixed ImageNet weights. Its creation does not advance PyTorch's random state.
 
     Args:
-        encoder: Name of a timm model, such as vgg19; the weights of `ENCODER` need no hub.
+        encoder: Name of a timm model, such as vgg19; the weights of `ENCODER` need no download.
         device: Device of the computation.
 
     Raises:

@@ -1,6 +1,7 @@
 """Publishing: copy a training's best checkpoint, with its model card, into a folder of weights.
 
-A network with the same output for all images is refused; its outputs for a few probes are compared.
+A network with the same output for all images is rejected; its outputs for a few probes are
+compared.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ def publish(
     Args:
         run: Folder that `train` wrote.
         folder: Folder of published weights; created if missing.
-        name: The task, for its default weights, or the task, a dash and more; empty for the task.
+        name: The task, for its default weights, or the task with a suffix after a dash; empty for
+            the task.
         evaluations: Folders that `vrcaps evaluate` wrote for these weights.
         notes: Intended use and limits, in Markdown; empty keeps those of the previous card.
         license_name: License of the weights.

@@ -1,7 +1,7 @@
 """Lesions: shapes and patterns added to an organ's wall, each an instance with a grade.
 
 A kind of lesion is a subclass of `Lesion` with a `kind`, in the table `LESIONS` or in a plug-in.
-Text forms, scenario files, library, help and tables in the docs follow.
+The command line, scenario files, library and tables in the docs follow from it.
 """
 
 from vrcaps.lesion.add import LesionPair as LesionPair

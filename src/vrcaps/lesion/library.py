@@ -25,9 +25,9 @@ def lesion_library() -> dict[str, Lesion]:
 
 
 def parse_lesion(text: str) -> Lesion:
-    """Parse a lesion from a short text.
+    """Parse a lesion from a string.
 
-    The text is a name, then all non-default values: ``polyp-Ip``, ``colitis-2``,
+    The string is a name, then all non-default values: ``polyp-Ip``, ``colitis-2``,
     ``ulcer-deep:size=15mm``, ``polyp-Is-villous:segment=sigmoid,theta=90deg``,
     ``bleeding-3:arc_length=80cm``. The name is a kind, with its grade after a hyphen, or one
     of `lesion_library`. Lengths have a unit.

@@ -220,7 +220,7 @@ class Medium:
         absorption: Absorption coefficient for red, green and blue at median density [1/m].
         scattering: Scattering coefficient for red, green and blue at median density [1/m].
         anisotropy: Mean cosine g of the scattering angle.
-        spread: Standard deviation of the logarithm of density from place to place.
+        spread: Standard deviation of the logarithm of density along the gut.
         patch_length: Distance along the gut over which it changes [m].
         cloud_spread: Standard deviation of the logarithm of density within clouds.
         cloud_size: Size of clouds [m].
@@ -272,7 +272,7 @@ class Film:
         thickness: Median thickness [m].
         scattering: Scattering coefficient µ [1/m].
         angle: Standard deviation of the deflection in one scattering, along one axis [rad].
-        spread: Standard deviation of the logarithm of the mean thickness from place to place.
+        spread: Standard deviation of the logarithm of the mean thickness along the gut.
         relief: Standard deviation of the thickness over the dome, relative to its mean.
         width: Size of thick and thin parts, as an angle seen from the pupil [rad].
         patch_length: Distance of travel over which it changes [m].
@@ -330,7 +330,7 @@ class Contents:
     """Contents of the lumen.
 
     A kind that is None is drawn by the prevalence in the organ in a recording, see
-    `vrcaps.scenario.variation`, and is none elsewhere.
+    `vrcaps.scenario.variation`, and absent elsewhere.
 
     Example:
         >>> vrcaps.Scenario(contents=vrcaps.Contents(bubbles=2, chyme=1))
@@ -344,7 +344,7 @@ class Contents:
         film: Film of mucus on the capsule's dome: severity 0 (none) to 4 (nothing is sharp), or
             exact parameters.
         drift: Speed at which bubbles and chyme move along the gut [m/s].
-        reach: Distance from the capsule within which they move at all [m].
+        reach: Distance from the capsule within which they move [m].
         seed: Seed of the placement.
     """
 
@@ -378,7 +378,7 @@ class Contents:
 
     @property
     def resolved(self) -> tuple[Bubbles, Chyme, Liquid]:
-        """Parameters of what lies in the lumen."""
+        """Parameters of the lumen contents."""
         return (
             _at_severity(self.bubbles, BUBBLE_SEVERITIES),
             _at_severity(self.chyme, CHYME_SEVERITIES),

@@ -27,13 +27,13 @@ _PATCH = 40.0 * MM
 """Correlation length along the gut of the presence of bubbles or particles [m]."""
 _LIFT_BUBBLE, _EMERGED = 0.85, 0.35
 """Height of a bubble's center above the wall it clings to, as a fraction of its radius: of a bubble
-in liquid and of a large one. A film meets a wet wall at a right angle (Plateau), which makes a
-hemisphere of a bubble that has emerged from the liquid."""
+in liquid and of a large one. A film meets a wet wall at a right angle (Plateau), so a bubble that
+has emerged from the liquid is a hemisphere."""
 _TOUCH = 0.88
 """Distance between neighbors in a raft as a fraction of the sum of their radii; they share a flat
 wall."""
 _LONGEST = 5.0
-"""Maximum of the length of a raft, along a crease, over its width."""
+"""Maximum ratio of the length of a raft, along a crease, to its width."""
 _MANY = 8.0
 """Number of bubbles in a raft from which their size is not limited; in smaller rafts the maximum
 radius is proportional to the square root of that number, because large bubbles form where small ones
@@ -49,7 +49,7 @@ image takes a bubble whose near side is within 1 mm of the shell to move with th
 _TRIES = 12
 """Random positions tried for each sphere of a cluster."""
 _CREASES, _FOLD = 4, 4.0 * MM
-"""Places tried for each raft of bubbles, and half the distance between them along the gut [m]."""
+"""Positions tried for each raft of bubbles, and half their distance along the gut [m]."""
 _MOST = 10_000_000
 """Maximum expected number of bubbles or of particles in an organ, which limits memory."""
 _FLATTENING = 0.35
@@ -257,8 +257,8 @@ class _Seeds:
         Args:
             towards: Unit direction.
             fraction: Fraction of the clusters that gather there.
-            creases: Places tried for each cluster, within a fold's spacing along the gut; it takes
-                the one farthest from the centerline, which lies between folds.
+            creases: Positions tried for each cluster, within a fold's spacing along the gut; it
+                takes the one farthest from the centerline, which lies between folds.
         """
         first = self.arc_length
         best: tuple[np.ndarray, ...] | None = None

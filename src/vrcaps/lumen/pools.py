@@ -158,7 +158,7 @@ def level_pools(
 ) -> Pools:
     """Level the same liquid again after the wall has moved or the patient has turned.
 
-    Volume is conserved: liquid that a dip cannot hold runs over its lower crest into the next one.
+    Volume is conserved: liquid that a dip cannot hold overflows its lower crest into the next one.
 
     Args:
         organ: The wall at rest.
@@ -185,7 +185,7 @@ def level_pools(
 
 
 def _run_over(lumen: _Lumen, filled: list[_Basin], k: int, other: int, crest: float) -> int:
-    """Let dip `k` run over a crest into a neighbor, or merge both; returns the next dip."""
+    """Let dip `k` overflow a crest into a neighbor, or merge both; returns the next dip."""
     one, two = filled[k], filled[other]
     if two.level >= crest - 1e-12:
         first, last = min(one.first, two.first), max(one.last, two.last)

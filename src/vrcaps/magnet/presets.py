@@ -105,9 +105,9 @@ def read_magnet(
 
 
 def magnet_of(given: str | Path | Magnet) -> str | Magnet:
-    """Magnet of a file as an object; names and magnets are checked and unchanged.
+    """Convert a magnet's file to an object; names and magnets are checked and returned unchanged.
 
-    Settings convert their magnet by it once, so that an episode contains it and not its path.
+    Settings apply it to their magnet once, so that an episode contains the magnet and not its path.
 
     Raises:
         UnknownNameError: If there is no magnet with that name.

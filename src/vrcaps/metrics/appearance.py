@@ -2,7 +2,7 @@
 
 Features are vectors of images, such as those of a network or statistics of their colors. They are
 first expressed in deviations of the reference set and limited to ±3, so that no single feature
-decides.
+dominates.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class KernelDistance:
     Attributes:
         value: Unbiased estimate; near 0, and possibly negative, for sets of one distribution.
         half_width: Half of the width of the central 90 % of the resamples. Their mean is larger
-            than `value`, because items are drawn repeatedly, so the ends are not quoted.
+            than `value`, because items are drawn repeatedly, so the ends are not reported.
     """
 
     value: float

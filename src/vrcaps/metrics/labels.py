@@ -62,7 +62,7 @@ def matthews(confusion: Int[np.ndarray, "c c"]) -> float:
 
 
 def roc_auc(score: Float[np.ndarray, " n"], is_positive: Bool[np.ndarray, " n"]) -> float:
-    """Area under the ROC curve: probability that a positive scores above a negative, ties half.
+    """Area under the ROC curve: probability that a positive outscores a negative; ties count half.
 
     It is the Mann-Whitney statistic over the number of pairs (Hanley and McNeil, Radiology 143,
     1982); NaN if all items are of one kind.

@@ -32,7 +32,7 @@ POINT_LEVELS: tuple[CoverageLevel, ...] = ("frustum", "visible", "resolved")
 """Levels at which points are marked; a point's flag has one bit for each, in this order."""
 
 _POINTS_ON_LESION = 48
-"""Points per lesion, since few of all points would lie on a small one."""
+"""Points per lesion, since few of the other points would lie on a small one."""
 
 _TABLE_SIZE = 512
 """Rows of a direction table: a cell is a third of a degree wide, a pixel of most capsules."""

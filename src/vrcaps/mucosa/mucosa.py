@@ -49,7 +49,7 @@ class Mucosa:
         pit_slope: RMS slope of the gaps between them.
         pit_shade: Optical density of those gaps in green light; bile also collects there.
         pit_variation: Standard deviation of the logarithm of their depth and density over the wall,
-            as villi are more or less swollen and covered by mucus; the mean is nearly kept.
+            as villi are more or less swollen and covered by mucus; the mean is nearly preserved.
         network: Weight of the finest network of vessels in the redness.
         flecks: Fraction of cells, 3.2 mm wide, with a fleck of mucus, on the wall or off it.
         mucus: Amount of mucus, 0 to 1: film and strands cover a third of this fraction of the wall.

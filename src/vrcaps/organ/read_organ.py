@@ -112,7 +112,7 @@ def _organ_of_mesh_file(
 
 
 def _check_width(path: Path, unit: str, centerline: Centerline) -> None:
-    """Warn of a lumen of unusual width; refuse one that is wider than any organ."""
+    """Warn of a lumen of unusual width; reject one that is wider than any organ."""
     from vrcaps.organ.measure import lumen_diameters, unit_question
 
     diameter = lumen_diameters(centerline)[1]

@@ -5,7 +5,7 @@ An imaging mode maps them to colors under its own light, by unmixing the chromop
 bile.
 
 White light of other LEDs: a camera is white-balanced under its own LEDs, so only colored matter
-looks different: blood, most of all where the LEDs emit in its bands at 415, 540 and 577 nm, and
+looks different: blood, especially where the LEDs emit in its bands at 415, 540 and 577 nm, and
 bile below 500 nm. The changes of their densities under the new spectrum are added.
 
 Narrow-band imaging: the wall is lit at 415 and 540 nm, where hemoglobin absorbs most. The density
@@ -224,7 +224,7 @@ def make_imaging(device: Device, mode: str) -> Imaging:
     """Imaging of a capsule in a mode, `white-light` or `narrow-band`.
 
     Raises:
-        InputError: If its LEDs give hardly any light in a color of the camera.
+        InputError: If its LEDs emit too little light in a color of the camera.
     """
     if mode == "narrow-band":
         return narrow_band()
@@ -236,7 +236,7 @@ def led_light(spectrum: Spectrum) -> Imaging:
     """Imaging under LEDs with a given spectrum, to which the camera is white-balanced.
 
     Raises:
-        InputError: If a color of the camera gets hardly any light.
+        InputError: If a color of the camera receives too little light.
     """
     own, reference = _Densities(spectrum), _Densities(PHOSPHOR)
     blood = (own.blood - reference.blood).astype(np.float32)

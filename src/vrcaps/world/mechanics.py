@@ -85,7 +85,7 @@ def check_dynamics(name: str, model: Model, tissue: Tissue) -> None:
     if isinstance(tissue.deformation, FemDeformation):
         raise InputError(refused.format("a layer of finite elements", "Give a spring wall or none"))
     if not model.contents.is_empty:
-        raise InputError(refused.format("what floats in the lumen", "Leave the contents out"))
+        raise InputError(refused.format("matter in the lumen", "Omit the contents"))
 
 
 def core_pose(

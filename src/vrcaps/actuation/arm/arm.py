@@ -25,7 +25,7 @@ def arm_names() -> tuple[str, ...]:
 
 
 def read_arm(given: str | Path | Arm) -> Arm:
-    """Read an arm of the catalog by name, or a custom arm from its file; an arm is unchanged.
+    """Read an arm of the catalog by name, or a custom arm from its file; an `Arm` is unchanged.
 
     A TOML file has the fields of `Arm` in the units of their keys (see `arms/panda.toml`), or the
     key `urdf` and the fields of `UrdfArm`; a URDF file is read with the defaults of `UrdfArm`. The
@@ -62,9 +62,9 @@ def _from_urdf(plain: dict[str, Any], path: Path) -> Arm:
 
 
 def arm_of(given: str | Path | Arm) -> str | Arm:
-    """Arm of a file as an object; names and arms are checked and unchanged.
+    """Convert an arm's file to an object; names and arms are checked and returned unchanged.
 
-    Settings convert their arm by it once, so that an episode contains it and not its path.
+    Settings apply it to their arm once, so that an episode contains the arm and not its path.
 
     Raises:
         UnknownNameError: If the catalog has no arm with that name.

@@ -93,7 +93,7 @@ class Link:
 
 @dataclass(frozen=True)
 class LinkMass:
-    """Mass of all that is fixed to a frame.
+    """Mass of the bodies fixed to a frame.
 
     Attributes:
         frame: Index of the frame: 0 for the base, then the joints, last the flange.
@@ -145,7 +145,7 @@ class Arm:
         source: Source of the parameters.
         flange_rotation: Rows of the rotation from the flange to the last joint's frame; None if the
             axes are the same.
-        masses: Masses of links, one for a frame; those left out are unknown.
+        masses: Masses of links, one per frame; missing ones are unknown.
     """
 
     name: str

@@ -71,7 +71,7 @@ class UrdfArm:
 
 
 def arm_from_urdf(settings: UrdfArm, *, name: str) -> Arm:
-    """Convert the chain of turning joints from base to tool to an arm.
+    """Convert the chain of revolute joints from base to tool to an arm.
 
     Frame k of the arm has its origin in that of the URDF's joint k, and z along its axis. The
     collision shapes of a link become one capsule that holds them. Masses are those of the
@@ -135,7 +135,7 @@ class _Plain(ElementTree.TreeBuilder):
     """Elements of a file without DOCTYPE, in any encoding."""
 
     def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
-        """Refuse definitions of entities, before one is expanded."""
+        """Reject definitions of entities before any is expanded."""
         raise ValueError("it is not a URDF file. Allowed: the element <robot>, without DOCTYPE")
 
 
@@ -181,7 +181,7 @@ def _joints_to(path: Path, parents: dict[str, Any], name: str) -> list[Any]:
 
 
 def _only_tool(path: Path, chains: dict[str, list[Any]]) -> str:
-    """Link with the most turning joints before it, farthest from the root."""
+    """Link with the most revolute joints before it, farthest from the root."""
     leaves = set(chains) - {joint.parent for chain in chains.values() for joint in chain}
     counts = {n: sum(j.type != _FIXED for j in chains[n]) for n in leaves}
     most = max(counts.values())

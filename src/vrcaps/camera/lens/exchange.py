@@ -180,7 +180,7 @@ def undistorted_pinhole(lens: AnyLens | None, user: str, name: str) -> LensPinho
         name: Name of the lens, for messages.
 
     Raises:
-        InputError: If it is another lens; the message says what to do.
+        InputError: If the lens is of another kind; the message states the remedy.
     """
     pinhole = as_pinhole(lens)
     if pinhole is not None and not any(getattr(pinhole, key) for key in _COEFFICIENTS[False]):

@@ -38,7 +38,7 @@ class MotionBlur(ImageEffect):
     Attributes:
         exposure_time: Time for which each row is open [s]; limited to the frame interval.
         led_pulse: Time for which the LEDs are lit, centered on the instant of the image [s]; None
-            for always.
+            if they are always lit.
     """
 
     exposure_time: Annotated[float, Range(above=0.0, below=10.0, unit="s")]
@@ -91,7 +91,8 @@ class RollingShutter(ImageEffect):
 
 _TOLERANCE = 1e-4
 _ITERATIONS = 40
-"""Relative change of the exposure at which `AutoExposure.settle` ends, and its most iterations."""
+"""Relative change of the exposure at which `AutoExposure.settle` ends, and its maximum
+iterations."""
 _REMAINDER_LENGTH = 20.0 * MM
 """Correlation length along the gut of the remaining error of a settled loop [m]."""
 

@@ -130,7 +130,7 @@ class ToneCurve(ImageEffect):
 class Denoising(ImageEffect):
     """Low-pass filters of luma and chroma (BT.601) against noise and the mosaic's false colors.
 
-    The filters are Gaussians over the pixels that the lens lights.
+    The filters are Gaussians over the pixels that the lens illuminates.
 
     Attributes:
         luma: Standard deviation for luma [px]; 0 for none.
@@ -158,7 +158,7 @@ class Denoising(ImageEffect):
 class Sharpening(ImageEffect):
     """Unsharp mask of luma, with a halo along edges.
 
-    Luma gains ``amount`` times its difference d from a Gaussian-filtered copy; of d only the part
+    Luma gains ``amount`` times its difference d from a Gaussian-filtered copy; only the part of d
     beyond the threshold counts (coring), so that noise is not amplified.
 
     Attributes:

@@ -91,7 +91,7 @@ class Minari:
         storage.update_episode_metadata(about, range(len(given)))
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """Refuse to read: the data sets hold no cameras.
+        """Reject reading: the data sets have no cameras.
 
         Raises:
             InputError: Always; it states the reader.

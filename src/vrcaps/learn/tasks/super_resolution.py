@@ -72,7 +72,7 @@ class SuperResolutionTask(Task[tuple[float, float, float]]):
         content: Weight of the squared difference of features.
         style: Weight of the squared difference of the features' Gram matrices.
         feature_encoder: Network of these features, by its timm name, such as vgg19; the default's
-            weights need no hub.
+            weights need no download.
         degradation: Random degradations of the small training images, such as of a recorder.
     """
 

@@ -172,8 +172,8 @@ class VesselPlacement:
     """Normal distributions of position, rotation and size of vessels, as in VR-Caps.
 
     Attributes:
-        position_std: Standard deviation of the offset from the emptiest of some random positions,
-            in side lengths of the piece.
+        position_std: Standard deviation of the offset from the emptiest of several random
+            positions, relative to the side length of the vessel piece.
         rotation_std_deg: Standard deviation of the rotation relative to the photograph [°]; mean 0.
         size_std: Standard deviation of the size relative to the photograph; mean 1.
     """

@@ -245,8 +245,8 @@ def _estimate(units: Units, missing: Sequence[int], out: str) -> None:
 class Composite:
     """Composite rendered lesions into real images without lesions, with exact masks.
 
-    A lesion's change of the rendered wall, from a recording and its clean twin, is applied to random
-    images, which keep their light. Others show films of blood or no lesion; half show other fluids.
+    A lesion's change of the rendered wall relative to the clean twin is applied to random images,
+    which keep their light. Others show films of blood or no lesion; half of all show other fluids.
     Requires a plan with channels radiance and instance, and clean_twin = { each = [false, true] }.
 
     For example:

@@ -35,9 +35,8 @@ wall."""
 _LONGEST = 5.0
 """Maximum ratio of the length of a raft, along a crease, to its width."""
 _MANY = 8.0
-"""Number of bubbles in a raft from which their size is not limited; in smaller rafts the maximum
-radius is proportional to the square root of that number, because large bubbles form where small ones
-coalesce."""
+"""Number of bubbles from which a raft may contain any size; in smaller rafts the maximum radius is
+proportional to the root of their number, because large bubbles form where small ones coalesce."""
 _LIFT_CHYME = 0.4
 _BOUND = 0.45
 """Distance between neighbors in a clump of chyme as a fraction of the sum of their radii."""

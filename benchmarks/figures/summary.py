@@ -24,36 +24,37 @@ FIGURES = (
     ),
     ("the same with shadows", f"{_BENCH}render", "{ms | complete frame, shadows} ms"),
     (
-        "by default: with indirect light (radiosity) and shadows",
+        "the same with shadows and radiosity, the default",
         f"{_BENCH}render",
         "{ms | complete frame, radiosity, shadows} ms",
     ),
     (
-        "the plain frame, the whole wall moved before each",
+        "direct light without shadows, the whole wall moved before each frame",
         f"{_BENCH}render",
         "{ms | complete frame, moving wall} ms",
     ),
     (
-        "all 16 effects of lens and sensor / and radiosity, without shadows",
+        "all 16 effects of lens and sensor / also with radiosity, without shadows",
         f"{_MODULE}speed.effects",
         "{times plain | every effect at severity 2, direct light} / "
         "{times plain | every effect at severity 2, radiosity} times a plain frame",
     ),
     (
-        "embreex, primary rays only, nothing shaded, one thread; our complete frame on one thread",
+        "embreex, primary rays only, without shading, on one thread; ratio to our complete frame "
+        "on one thread",
         f"{_MODULE}speed.compare_peers",
         "{ms | Embree, primary rays only} ms; {times ours | Embree, primary rays only, alone} "
         "times ours",
     ),
     (
-        "Mitsuba 3.9 LLVM, direct light + AOV, fastest set-up found: one LED a pixel, with its "
-        "shadow, no relief, where ours shades six LEDs and relief",
+        "Mitsuba 3.9 LLVM, direct light + AOV, fastest setup found: one LED per pixel with shadow, "
+        "without relief; ours shades six LEDs and relief",
         f"{_MODULE}speed.compare_peers",
         "{ms | Mitsuba, direct + AOV, no film, frozen} ms, "
         "{times ours | Mitsuba, direct + AOV, no film, frozen} times ours without shadows",
     ),
     (
-        "the same by `mi.render`",
+        "the same with `mi.render`",
         f"{_MODULE}speed.compare_peers",
         "{ms | Mitsuba, direct + AOV} ms, {times ours | Mitsuba, direct + AOV} times ours",
     ),
@@ -64,33 +65,34 @@ FIGURES = (
     ),
     ("refit of a moved wall", f"{_BENCH}render", "{ms | refit} ms"),
     (
-        "a step of 1/60 s of capsule, muscle and soft wall, rendered and labeled, all by default",
+        "step of 1/60 s of capsule, muscle and soft wall, rendered and labeled, default settings",
         f"{_BENCH}world",
         "{ms | 50 µs, light by default} ms",
     ),
     (
-        "to disk, the recording default",
+        "recording to disk with default settings",
         f"{_BENCH}record",
-        "{measured | labeled frames a second to disk, recorded by default} frames a second, "
+        "{measured | labeled frames a second to disk, recorded by default} frames per second, "
         "{measured | peak memory of the recording process} GB",
     ),
     (
-        "radiosity with shadows against path tracing, the worst single view of ten organs",
+        "radiosity with shadows compared with path tracing, worst view of ten organs",
         f"{_MODULE}validation.radiosity",
         "{most radiosity, shadows} relative RMSE",
     ),
     (
-        "depth within one 10 µm step of Embree through the files written",
+        "recorded depth within one step of 10 µm of Embree",
         f"{_MODULE}validation.labels",
         "≥ {least depth within 10 µm} of pixels",
     ),
     (
-        "path tracing against Mitsuba's, smooth colon: ratio of means; blocks' z² over noise's",
+        "path tracing compared with Mitsuba, smooth colon: ratio of means; z² of blocks over "
+        "that of noise",
         f"{_MODULE}validation.path",
         "{ratio | the same, smooth}; {z² / expected | the same, smooth}",
     ),
     (
-        "linear radiance against Mitsuba, dry and wet walls, shadows off and on",
+        "linear radiance compared with Mitsuba, dry and wet walls, with and without shadows",
         f"{_MODULE}validation.light",
         "relative RMSE ≤ {most relative RMSE}",
     ),
@@ -101,9 +103,9 @@ the `{least column}` or `{most column}` of all rows."""
 _TEXT = """# Summary
 
 On 2 cores of an AMD EPYC with AVX-512; 320 × 320 pixels, 6 LEDs, a generated colon of
-104,000 triangles, camera inside; medians, in brackets p10 to p90. A *complete frame* is color,
-depth, ray distance, normal, label, instance and arc length. Peers run from their own packages in
-the same process, in turns with ours.
+104,000 triangles, camera inside; medians, in brackets p10 to p90. A *complete frame* consists
+of color, depth, ray distance, normal, label, instance and arc length. Peers run from their own
+packages, alternating with ours in the same process.
 
 {figures}
 

@@ -40,7 +40,7 @@ def experiment_parser(
 
 
 def check_tasks(names: Sequence[str]) -> None:
-    """Refuse unknown names of tasks.
+    """Reject unknown names of tasks.
 
     Raises:
         UnknownNameError: If a name is unknown.

@@ -1,4 +1,4 @@
-"""Claim: on two cores the cockpit shows 20 images a second at real time, 150 ms after an input.
+"""Claim: on two cores the cockpit shows 20 images per second at real time, 150 ms after an input.
 
 The stomach with magnet and Panda and a camera of 320², as `vrcaps cockpit` opens it. `no browser`
 is the server's side alone: a client in a separate process takes the images over the page's
@@ -7,9 +7,9 @@ card, which takes much of the two cores; once with the scene in a small and once
 An image counts when the client has it, or the browser has decoded it: first while the magnet rests,
 then while a key is held, so that magnet, arm and capsule move. For the latency the script
 marks a corner of each image whose state came after a key was pressed: from the key's message, or
-its event in the browser, to the first marked image there. Shadows are left out of live images while
-these come slower than 20 a second. A click counts from its event until the page has the
-acknowledgement of its command, while the simulation runs.
+its event in the browser, to the first marked image there. Live images omit shadows at rates below
+20 per second. A click counts from its event until the page has the acknowledgement of its command,
+while the simulation runs.
 
     python -m benchmarks.speed.cockpit [--seconds 10] [--presses 12] [--no-browser]
 """
@@ -77,8 +77,8 @@ window.addEventListener("keydown", note, true);
 """Notes the time of a key's event, before the page itself sees it; the tour is not shown."""
 CLICKS = 20
 HEAD = (
-    *("shown by", "at rest: speed / real time", "images a second"),
-    *("driving: speed / real time", "images a second", "p10 of intervals [ms]", "p90"),
+    *("shown by", "at rest: speed / real time", "images per second"),
+    *("driving: speed / real time", "images per second", "p10 of intervals [ms]", "p90"),
     *("input to image [ms]: median", "p90", "click to acknowledgement [ms]: median", "p90"),
     *("processor time of the server", "shadows"),
 )

@@ -83,7 +83,7 @@ _JUDGED = (
 
 
 def measure(stage: Stage, extent: Extent, names: tuple[str, ...]) -> Report:
-    """Time a complete frame and the peers' frames in turns in this process."""
+    """Time a complete frame and the peers' frames alternately in this process."""
     peers, skipped = find_peers(stage, names)
     shadowed = RenderSettings(light="direct", shadows=True)
     subjects = [

@@ -3,8 +3,8 @@
 Claim: 512 × 512 × 600 voxels to an organ in ≤ 3 minutes on two cores; 512 × 512 × 1000 voxels in
 < 6 GB. Reference: radiology's usual matrix; the longest scan is a whole trunk at half a millimeter.
 
-Each scan is a made one of a generated colon that fills it, written as a DICOM series. The command
-runs in a separate process, from reading the files to `organ.glb` and its picture.
+Each scan is a simulated one of a generated colon that fills it, written as a DICOM series. The
+command runs in a separate process, from reading the files to `organ.glb` and its picture.
 """
 
 from __future__ import annotations
@@ -91,9 +91,9 @@ def main() -> None:
         rows.append(measure(num * given.size // 600, supine, 60 * MM))
         print(*rows[-1], sep=" | ", flush=True)
     text = (
-        "## CT: time and memory\n\n`python -m benchmarks.speed.ct`: a made scan of a generated "
-        f"colon with tagged fluid in it, on\n{os.cpu_count()} cores, from DICOM files to the "
-        "organ's file and its picture, the start of the command included.\n\n"
+        "## CT: time and memory\n\n`python -m benchmarks.speed.ct`: simulated scan of a generated "
+        f"colon with tagged fluid, on\n{os.cpu_count()} cores, from DICOM files to the "
+        "organ's file and its picture, including the start of the command.\n\n"
         + table(HEAD, rows)
         + f"\n\nClaimed: 600 slices in ≤ {SECONDS:.0f} s (others in proportion), and "
         f"< {GIGABYTES:.0f} GB."

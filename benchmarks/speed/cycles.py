@@ -1,8 +1,8 @@
 """Claim: path tracing is at least 20 times as fast as Cycles.
 
-320 × 320 pixels, 16 paths a pixel, 4 reflections, 2 threads: a generated colon with a matt wall and
-six point LEDs, seen by the same pinhole in both; the first frame is not counted. Cycles keeps its
-scene between frames, without denoising, adaptive sampling, clamping or its threshold for lights.
+320 × 320 pixels, 16 paths per pixel, 4 reflections, 2 threads: a generated colon with a matte wall
+and six point LEDs, seen by the same pinhole in both; the first frame is not counted. Cycles keeps
+its scene, without denoising, adaptive sampling, clamping or its threshold for lights.
 
 Blender is not needed by the package and is not installed with it. Give an interpreter that has it:
 
@@ -107,14 +107,15 @@ def main() -> None:
     text = (
         "## Rendering speed compared with Cycles\n\n"
         "`python -m benchmarks.speed.cycles --blender-python …`: "
-        f"{given.size} × {given.size} pixels, {SAMPLES} paths a pixel, {DEPTH}\nreflections, "
-        f"{THREADS} threads, median of {IMAGES} frames after the first, a matt generated colon.\n\n"
+        f"{given.size} × {given.size} pixels, {SAMPLES} paths per pixel, {DEPTH}\nreflections, "
+        f"{THREADS} threads, median of {IMAGES} frames after the first, a matte generated colon."
+        "\n\n"
         + table(HEAD, rows)
-        + f"\n\nCycles' time over ours at equal samples: {ratios[0]:.1f} by processor, "
-        f"{ratios[1]:.1f} by the clock (≥ {LIMIT:g}: {verdict}); at equal\nnoise {ratios[2]:.1f}, "
-        f"by the median pixel {ratios[3]:.1f}. The first reflection's mean radiance is "
-        f"{same:.4f} of ours: it is the same picture.\nLater ones differ, as Cycles' Lambert and "
-        "our diffuse reflectance differ where light and view do."
+        + f"\n\nCycles' time over ours at equal samples: {ratios[0]:.1f} in processor time, "
+        f"{ratios[1]:.1f} in wall-clock time (≥ {LIMIT:g}: {verdict}); at equal\nnoise "
+        f"{ratios[2]:.1f}, by the median pixel {ratios[3]:.1f}. The mean radiance of the first "
+        f"reflection is {same:.4f} of ours.\nLater ones differ because Cycles' Lambert and our "
+        "diffuse reflectance differ between directions of light and view."
     )
     write_section(given.out, Path(__file__), text)
 

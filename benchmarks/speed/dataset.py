@@ -77,12 +77,12 @@ def main() -> None:
         shown = f"{unit:.2f} s" if scale == 1.0 else f"{unit:.0f} s"
         share = f"{rate * unit / workers:.0%}"
         rows.append([str(workers), "simulated", shown, f"{rate:.3g}", share, f"{busy:.2%}"])
-    head = ("workers", "", "a unit", "units a second", "of the ideal", "head at work")
+    head = ("workers", "", "per unit", "units per second", "of the ideal", "head at work")
     text = f"""## Scaling of dataset generation
 
 {given.size} recordings of two frames of 40 × 36 pixels, one thread each. The head needs
 {1e3 * times.head:.2f} ms of a processor for a unit (its outcome is received, and the next one
-sent), so it serves at most {1.0 / times.head:,.0f} units a second: {median / times.head:,.0f}
+sent), so it serves at most {1.0 / times.head:,.0f} units per second: {median / times.head:,.0f}
 workers with units as short as these. The first unit ends {times.start:.1f} s later than it would
 take alone: a process starts and loads its modules. The simulation: each worker has a processor, its
 units take the measured times (scaled for long ones), the head serves one outcome after the other,

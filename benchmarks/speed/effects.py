@@ -2,9 +2,9 @@
 
 A flight at 2 cm/s through a generated colon, 320 x 320 pixels, color and four labels: the plain
 frame, with indirect light, with lens and sensor, and with both; and each effect by itself. No
-sensor of fewer pixels, so that all have the same size. Subjects take turns; the C library keeps
-freed memory, so that every frame of every subject is made in buffers used before. Then recorded
-into files, as `vrcaps record` does.
+sensor of fewer pixels, so that all have the same size. Subjects alternate; the C library keeps
+freed memory, so that all frames are rendered into reused buffers. Then recorded into files, as
+`vrcaps record` does.
 
     python -m benchmarks.speed.effects
 """
@@ -44,7 +44,7 @@ LIGHTS = {
     "radiosity, shadows": RenderSettings(light="radiosity", shadows=True),
 }
 HEAD = (
-    "frame", "time [ms]", "frames a second", "processor time [ms]", "times plain",
+    "frame", "time [ms]", "frames per second", "processor time [ms]", "times plain",
     "times the same light without effects", "claimed",
 )  # fmt: skip
 ALONE = ("effect", "longer by [ms]", "processor time more [ms]", "times plain")
@@ -72,20 +72,21 @@ def main() -> None:
     one, lossy = (Spread.of(1e3 * column) for column in np.transpose(files))
     text = f"""## Camera-pipeline speed
 
-{FRAMES} frames of a flight at 2 cm/s through a generated colon, 30 a second, 320 × 320 pixels,
-color, depth, normal, label and instance; effects `{EFFECTS}`. Mean over the frames; median of
-{ROUNDS} rounds in turns, in brackets p10 to p90; ratios are made round by round. All subjects use
-memory again that they freed before. *Plain* is direct light without shadows and effects.
+{FRAMES} frames of a flight at 2 cm/s through a generated colon, 30 frames per second, 320 × 320
+pixels, color, depth, normal, label and instance; effects `{EFFECTS}`. Mean over the frames; median
+of {ROUNDS} alternating rounds, in brackets p10 to p90; ratios are computed per round. All subjects
+reuse freed memory. *Plain* is direct light without shadows and effects.
 
 {table(HEAD, list(_rows(times, list(whole))))}
 
-Each effect by itself at severity 2 (a Bayer filter RGGB), against the plain frame; all include
-what any first effect brings, linear light and 8 bits of it:
+Each effect by itself at severity 2 (a Bayer filter RGGB), against the plain frame; all include the
+cost of linear light and its 8-bit encoding:
 
 {table(ALONE, [_more(name, times) for name in single])}
 
 The same flight recorded into files by default ({_light(DEFAULT)}), {RECORDED} frames, median of
-{len(files)}: without effects {_shown(one, 1)} ms a frame, with every effect {_shown(lossy, 1)} ms.
+{len(files)}: without effects {_shown(one, 1)} ms per frame, with every effect {_shown(lossy, 1)}
+ms.
 """
     write_section(args.out, Path(__file__), text)
 

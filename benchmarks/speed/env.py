@@ -1,8 +1,8 @@
-"""Claim: 5,000 steps of 1/30 s a second in environments on two cores, of it at most 15 % Python.
+"""Claim: 5,000 steps of 1/30 s per second in environments on two cores, at most 15 % in Python.
 
 Coverage of a generated stomach with the observations `state` and `map`, N worlds side by side under
 smooth random actions: quasi-static, by a wrench that balances gravity and by a magnet, and by the
-physics in substeps of 200 µs. A step is 1/30 s, an action five; visibility is tested once an
+physics in substeps of 200 µs. A step is 1/30 s, an action five steps; visibility is tested once per
 action. The baseline is Gymnasium's `AsyncVectorEnv` over as many single environments.
 
     python -m benchmarks.speed.env [--most 256]
@@ -35,7 +35,7 @@ CORE = (
     *("settle_worlds", "mark_points", "wall_distances"),
 )
 HEAD = (
-    *("dynamics", "actuation", "worlds", "steps a second", "a second of a processor"),
+    *("dynamics", "actuation", "worlds", "steps per second", "per second of processor time"),
     *("of it dynamics", "visibility", "rest"),
 )
 
@@ -65,9 +65,9 @@ def main() -> None:
     text = f"""## Environment speed
 
 `Coverage-v0` of a generated stomach, capsule `magnetic`, observations `state` and `map`, smooth
-random actions; an action is five steps of 1/30 s, visibility by 4,096 points once an action;
-{_core.num_threads()} threads. Shares are of processor time: of the dynamics, of visibility, and of
-all else (observations, rewards, Python). Claimed: 5,000 quasi-static steps a second, 250 by the
+random actions; an action is five steps of 1/30 s, visibility by 4,096 points once per action;
+{_core.num_threads()} threads. Fractions are of processor time: dynamics, visibility, and the rest
+(observations, rewards, Python). Claimed: 5,000 quasi-static steps per second, 250 with full
 physics, and a rest of at most 15 %. `AsyncVectorEnv` is Gymnasium's, a process for each world.
 
 {table(HEAD, rows)}

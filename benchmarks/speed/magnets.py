@@ -1,4 +1,4 @@
-"""Claim: 8 sources take at most 2 µs a substep, arm and controller 200 µs a control step.
+"""Claim: 8 sources take at most 2 µs per substep, arm and controller 200 µs per control step.
 
 Field, gradient and wrench, CPU time on one core: for many poses of a capsule with one magnet in it,
 the median of batches with p10 and p90. The sources are 2 to 4 sizes from the capsule, where the
@@ -135,8 +135,8 @@ sources, 100 mm across, on a capsule with one magnet:
 
 A control step as `vrcaps record --motion dynamics --set motion.magnet={{}}` makes it: the capsule
 `magnetic` is led along the upper wall of the inflated stomach of examples/07_magnet_stomach.py,
-{RATE:g} frames a second, substeps of 50 µs. Timed is the whole call of the program between two
-steps of the world: target on the wall, controller, magnet or arm. Processor time of all threads.
+{RATE:g} frames per second, substeps of 50 µs. The whole call of the program between two steps of
+the world is timed: target on the wall, controller, magnet or arm. Processor time of all threads.
 
 {table(CONTROL_HEAD, control_rows())}"""
     write_section(given.out, Path(__file__), text)

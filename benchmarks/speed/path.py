@@ -1,7 +1,7 @@
 """Claim: path tracing takes at most half of Mitsuba's time at equal noise.
 
-320 × 320 pixels, 16 paths a pixel, 4 reflections, against Mitsuba 3's `path` compiled by LLVM on
-the same rays, without its film and sensor; the two take turns in one process. Reference: Mitsuba
+320 × 320 pixels, 16 paths per pixel, 4 reflections, against Mitsuba 3's `path` compiled by LLVM on
+the same rays, without its film and sensor; the two alternate in one process. Reference: Mitsuba
 3.9, 16 samples, depth 4: 1,381 ms on 2 cores of an AMD EPYC.
 
 Noise is the standard deviation over images of other seeds; it falls with the square root of time,
@@ -82,7 +82,7 @@ def main() -> None:
         print(*rows[-2:], sep="\n", flush=True)
     text = (
         "## Path-tracing speed\n\n`python -m benchmarks.speed.path`: "
-        f"{given.size} × {given.size} pixels, {SAMPLES} paths a pixel, {DEPTH} reflections, "
+        f"{given.size} × {given.size} pixels, {SAMPLES} paths per pixel, {DEPTH} reflections, "
         "against Mitsuba 3\n(`llvm_ad_rgb`, `path`, on the same rays, no film), median of "
         f"{IMAGES} images in turns.\n\n"
         + table(HEAD, rows)

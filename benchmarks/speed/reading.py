@@ -1,4 +1,4 @@
-"""Claim: PyTorch's loader with 2 workers gives 300 frames (rgb and depth, 320²) a second or more.
+"""Claim: PyTorch's loader with 2 workers reads 300 frames (rgb and depth, 320²) per second or more.
 
 The second claim: the first batch of a data set at a remote URL arrives within 2 s.
 
@@ -44,8 +44,8 @@ name = "reading"
 patients = 8
 split = {{ train = 1.0, val = 0.0, test = 0.0 }}
 """
-HEAD = ("reader", "frames a second", "processor time a frame", "claimed")
-HEAD_REMOTE = ("delay of each answer", "first batch", "frames a second after it", "claimed")
+HEAD = ("reader", "frames per second", "processor time per frame", "claimed")
+HEAD_REMOTE = ("delay of each answer", "first batch", "frames per second after it", "claimed")
 
 
 def main() -> None:
@@ -59,7 +59,7 @@ def main() -> None:
 
 8 recordings of {args.size} frames, rgb and depth, 320 × 320; batches of {BATCH}, shuffled; \
 {os.cpu_count()} processors.
-Claimed: {MIN_RATE:.0f} frames a second with {WORKERS} workers.
+Claimed: {MIN_RATE:.0f} frames per second with {WORKERS} workers.
 
 {table(HEAD, rows)}
 
@@ -102,7 +102,7 @@ def local_loaders(folder: Path) -> Iterator[tuple[str, Any]]:
 
 
 def rate(loader: Any) -> tuple[float, float]:
-    """Frames a second after a first pass, and processor time [s] of a frame in all processes.
+    """Frames per second after a first pass, and processor time [s] per frame in all processes.
 
     The workers' start is in neither.
     """
@@ -145,7 +145,7 @@ def remote_row(folder: Path, latency_ms: float) -> tuple[str, ...]:
 
 
 def first_batch(url: str) -> tuple[float, float]:
-    """Seconds until the first batch of a data set, and frames a second of 40 batches after it."""
+    """Seconds until the first batch of a data set, and frames per second of 40 batches after it."""
     from torch.utils.data import DataLoader
 
     from vrcaps.data import FrameWindows, store

@@ -1,4 +1,4 @@
-"""Claim: 1,500 images a second of 64 by 64 pixels, color and depth, on two processors in a batch.
+"""Claim: 1,500 images per second of 64 by 64 pixels, color and depth, on two cores in a batch.
 
 Direct light on generated organs at rest, poses along the centerline, the front camera of the
 capsule `magnetic` scaled. A batch of `render_batch` and as many `Renderer.render` calls alternate
@@ -36,7 +36,7 @@ VIEW_HEAD = ("organ", "N", "a batch", "processor time", "one by one")
 
 
 def alternate(calls: tuple[Callable[[], object], ...], rounds: int) -> list[tuple[float, float]]:
-    """Median wall time and processor time [s] of each call; they take turns."""
+    """Median wall time and processor time [s] of each call; they alternate."""
     taken = np.zeros((rounds, len(calls), 2))
     for call in calls:
         call()

@@ -1,8 +1,8 @@
-"""Claim: quasi-static worlds step 5,000 times a second on two cores, each step 1/30 s.
+"""Claim: quasi-static worlds step 5,000 times per second on two cores, each step 1/30 s.
 
 Magnetic capsules in a generated stomach, each led along the upper wall by a separate magnet at
-15 mm/s; N worlds in one call, by both dynamics: steps a second of the clock and of a processor, the
-fraction of Python, cost of reading all of them, and memory and time to create a world.
+15 mm/s; N worlds in one call, by both dynamics: steps per second of wall-clock and of processor
+time, the fraction of Python, cost of reading all of them, and memory and time to create a world.
 
     python -m benchmarks.speed.worlds [--most 256]
 """
@@ -32,8 +32,8 @@ COUNTS = (1, 4, 16, 64, 256)
 HEAD = (
     "dynamics",
     "worlds",
-    "steps a second",
-    "a second of a processor",
+    "steps per second",
+    "per second of processor time",
     "Python's share",
     "reading a world",
     "making a world",
@@ -53,10 +53,10 @@ def main() -> None:
     rows = [row(model, count, dynamics) for dynamics in DYNAMICS for count in counts]
     text = f"""## Parallel-world speed
 
-A generated stomach of {len(organ.faces)} triangles, the capsule `magnetic` at places along it, led
-along the upper wall by a magnet at {1e3 * SPEED:.0f} mm/s; steps of 1/30 s, physics in substeps of
-{1e6 * SUBSTEP:.0f} µs, default tissue; {_core.num_threads()} threads. Reading is `WorldBatch.state`
-and `are_inside`. Claimed: 5,000 quasi-static steps a second.
+A generated stomach of {len(organ.faces)} triangles, the capsule `magnetic` at positions along it,
+led along the upper wall by a magnet at {1e3 * SPEED:.0f} mm/s; steps of 1/30 s, physics in substeps
+of {1e6 * SUBSTEP:.0f} µs, default tissue; {_core.num_threads()} threads. Reading is
+`WorldBatch.state` and `are_inside`. Claimed: 5,000 quasi-static steps per second.
 
 {table(HEAD, rows)}
 """

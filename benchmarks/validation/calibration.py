@@ -1,6 +1,6 @@
 """Claim: calibration recovers lenses from pictures of a chessboard.
 
-Real photographs (`../shared/data/calibration`, left out if absent) fit with mean errors no worse
+Real photographs (`../shared/data/calibration`, skipped if absent) fit with mean errors no worse
 than those published with them; boards rendered by catalog devices, LEDs and all, give the focal
 length back within 0.5 %.
 
@@ -133,12 +133,12 @@ HEAD_RENDERED = (
 )
 TEXT = """## Photographs and rendered boards
 
-Real photographs beside the fits published with them (MATLAB's pinhole and fisheye models):
+Real photographs, compared with the fits published with them (MATLAB's pinhole and fisheye models):
 
 {photos}
 
 Boards of {columns} × {rows} squares of 2 mm, rendered by the catalog's front cameras under their
-own LEDs with 16 rays a pixel, turned out of the image plane by up to {tilt:.0f}° about each axis.
+own LEDs with 16 rays per pixel, turned out of the image plane by up to {tilt:.0f}° about each axis.
 Boards whose squares are a few pixels wide are not found. Claimed: focal length within 0.5 %.
 
 {rendered}

@@ -1,7 +1,7 @@
 """Claim: a cohort of generated patients matches the published population, and every wall is valid.
 
 Measures each patient's organs on their courses and walls, then makes whole tracts, whose
-generator refuses a wall that intersects itself, and searches for open edges. Results are kept in
+generator rejects a wall that intersects itself, and searches for open edges. Results are kept in
 `--store`, so that an interrupted run resumes. For example, in two processes:
 ``python -m benchmarks.validation.cohort --patients 100 --tracts 100 --processes 2``.
 """

@@ -2,7 +2,7 @@
 
 Presses spheres and capsules into walls of several meshes and compares with the closed form, lets a
 capsule fly, slide and be pulled through a tube, and pushes capsules about in five organs with
-random forces of up to 5 N in random posture. Organs from CT are left out if absent.
+random forces of up to 5 N in random posture. Organs from CT are skipped if absent.
 
     python -m benchmarks.validation.contact [--steps 1000000]
 """

@@ -109,7 +109,7 @@ def main() -> None:
 
 
 def scenario_of(seed: int, arm: str) -> Scenario:
-    """A stomach with the capsule at its inlet, few images a second and simple light."""
+    """A stomach with the capsule at its inlet, few images per second and simple light."""
     steering = MagnetSteering(arm=None if arm == "none" else arm)
     return Scenario(
         OrganGenerated("stomach", seed=seed),

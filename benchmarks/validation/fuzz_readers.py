@@ -1,6 +1,6 @@
 """Feed all readers with mutated files, and print the outcomes.
 
-An input is read, or refused in one line; a traceback, a panic of the core, more than 20 s, or a
+An input is read, or rejected in one line; a traceback, a panic of the core, more than 20 s, or a
 impossible value (poses that are not rigid, numbers that are not finite, negative depth) is a
 fault. The same seed gives the same inputs::
 

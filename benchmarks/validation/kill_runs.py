@@ -205,7 +205,7 @@ def _usual(place: Place, verb: str, whole: Path) -> tuple[float, float]:
 
 
 def _repeat(place: Place, verb: str, number: int, out: Path, whole: Path, found: Kills) -> None:
-    """Run the same command to its end; a complete folder needs none, and some verbs refuse it."""
+    """Run the same command to its end; a complete folder needs none, and some verbs reject it."""
     try:
         place.run(VERBS[verb].words, out)
     except RuntimeError as error:

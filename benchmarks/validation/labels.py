@@ -1,7 +1,7 @@
 """Claim: labels are exact.
 
 Records episodes, then casts the same rays by Embree through the written pose, camera and
-`organ.glb`. Flow is taken from a second episode, at 1 mm a frame. Claimed: depth within one 10 µm
+`organ.glb`. Flow is taken from a second episode, at 1 mm per frame. Claimed: depth within one 10 µm
 step for 99.9 % of the pixels, normals within 0.1°; the target of `flow_forward` within 0.05 px of
 the same surface point where not occluded.
 

@@ -1,7 +1,7 @@
 """Claim: lesions of maximum size do not intersect the wall.
 
 Puts the largest lesion that each kind allows into a generated organ, or the largest that fits
-there, each tenth smaller than the one refused, and counts the pairs of triangles of it that cut
+there, each a tenth smaller than the one rejected, and counts the pairs of triangles of it that cut
 the wall or each other. Claimed: none.
 
     python -m benchmarks.validation.lesion_sizes

@@ -1,8 +1,8 @@
 """Claim: contractions agree with manometry.
 
 Simulates 200 cycles of the migrating motor complex in 20 patients against the published values of
-their distributions, counts contractions at places of the wall, compares the wall's radius with the
-commanded wave, and measures how fast a ring carries a capsule.
+their distributions, counts contractions at positions of the wall, compares the wall's radius with
+the commanded wave, and measures how fast a ring carries a capsule.
 
     python -m benchmarks.validation.motility
 """

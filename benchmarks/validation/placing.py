@@ -1,4 +1,4 @@
-"""Claim: a magnet on an arm places a capsule on a stomach's walls, or refuses the target.
+"""Claim: a magnet on an arm places a capsule on a stomach's walls, or rejects the target.
 
 Reference: closed-loop placing by a magnet on an arm has a mean error of up to 1.8 ± 2.1 mm
 (Robo-Mag-CE). The capsule is moved between random positions along the wall.

@@ -95,7 +95,7 @@ and turns by {np.degrees(TURN):.0f}°/s. `wrench`: no magnet, {1e3 * PUSH:.0f} m
 {PUSHED * FRAME:.1f} s, then nothing. Physics in substeps of {1e6 * SUBSTEP:.0f} µs.
 Over all instants of all runs, median and 90th percentile; `in the lumen` counts quasi-static runs
 whose capsule never left it; the last column is the physics' processor time over the quasi-static
-one's. {failed} runs in which the capsule came to the magnet are left out.
+one's. {failed} runs in which the capsule was pulled to the magnet are excluded.
 
 {table(HEAD, rows)}
 """

@@ -154,7 +154,7 @@ def exposure() -> list[Row]:
             )
         left = np.abs(np.log(np.array(exposures) * 0.9 / automatic.target))
         settled = np.interp(-np.log(0.01), -np.log(left[:1000] / left[0]), np.arange(1000)) / 30.0
-        given = f"τ {constant:g} s, 30 frames a second"
+        given = f"τ {constant:g} s, 30 frames per second"
         rows.append(row("settled to 1 %", given, constant * np.log(100.0), float(settled), " s"))
     return rows
 

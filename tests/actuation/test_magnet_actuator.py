@@ -164,7 +164,7 @@ def test_what_cannot_be(arm):
     with pytest.raises(InputError, match="does not reach"):
         arm.start(magnet_pose((3.0, 0, 0.2), (1, 0, 0)))
     state = arm.start(magnet_pose((0, 0, 0.2), (1, 0, 0)))
-    with pytest.raises(InputError, match=r"A state of 3 joints for arm panda\. Allowed: 7"):
+    with pytest.raises(InputError, match=r"The state has 3 joints, for arm panda\. Allowed: 7"):
         arm.move(replace(state, joint_angles=np.zeros(3)), state.T_world_magnet, DT)
     nowhere = arm.move(state, np.full((4, 4), np.nan), DT)
     assert nowhere.limit == "unreachable"

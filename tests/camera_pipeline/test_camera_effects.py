@@ -100,7 +100,7 @@ def test_clear_coat_is_what_the_wall_reflects(rng) -> None:
         (lambda: DomeBubbles(-1), "count is -1"),
         (lambda: FieldOfView(0.0), "magnification is 0.0"),
         (lambda: Resolution(0.0), "scale is 0.0"),
-        (lambda: Resolution(0.05).on(make_camera()), "Allowed: 8 or more to a side"),
+        (lambda: Resolution(0.05).on(make_camera()), "Allowed: 8 or more per side"),
     ],
 )
 def test_what_cannot_be(make, match: str) -> None:

@@ -145,7 +145,7 @@ def test_frames_become_a_capsule_and_a_scenario(folders, tmp_path, capsys) -> No
 def test_mistakes_of_a_photometric_calibration_end_in_one_line(folders, tmp_path, capsys) -> None:
     real, _ = folders
     out = ["--out", str(tmp_path / "mine.toml")]
-    assert "Frames given: 1. Allowed: 3 or more" in fail(
+    assert "1 frames are given. Allowed: 3 or more" in fail(
         ["calibrate", "photometric", str(real / "0.jpg"), *out], capsys
     )
     assert "Nothing at" in fail(["calibrate", "photometric", str(tmp_path / "gone"), *out], capsys)

@@ -144,10 +144,10 @@ def test_a_lumen_that_leaks_ends_in_one_line(scan, tmp_path, capsys) -> None:
 @pytest.mark.parametrize(
     ("flags", "text"),
     [
-        (["--threshold", "5"], "Gas threshold 5 HU. Allowed: -1000 to -300."),
-        (["--blur", "9"], "Blur of 9 voxels. Allowed: 0 to 5."),
-        (["--bridge-mm", "900"], "Bridges of 900 mm. Allowed: 0 to 200 mm."),
-        (["--pass-band", "7"], "Pass band 7. Allowed: 0.001 to 2."),
+        (["--threshold", "5"], "The gas threshold is 5 HU. Allowed: -1000 to -300."),
+        (["--blur", "9"], "The blur is 9 voxels. Allowed: 0 to 5."),
+        (["--bridge-mm", "900"], "The bridge width is 900 mm. Allowed: 0 to 200 mm."),
+        (["--pass-band", "7"], "The pass band is 7. Allowed: 0.001 to 2."),
         (["--label", "colonn"], "No label named 'colonn'."),
         (["--label", "0"], "Label 0 is background."),
         (["--labels", "none.nii", "--label", "colon"], "No scan at none.nii."),

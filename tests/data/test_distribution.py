@@ -53,7 +53,7 @@ def test_paths_of_slots_lead_into_tables_and_lists() -> None:
     [
         ({"choice": []}, "0 choices"),
         ({"choice": ["a"], "weights": [1, 2]}, "a weight of 0 or more for each"),
-        ({"uniform": [2, 1]}, "two rising numbers"),
+        ({"uniform": [2, 1]}, "two ascending numbers"),
         ({"uniform": ["a", 1]}, "not a finite number"),
         ({"log-uniform": [0, 1]}, "above 0"),
         ({"normal": [0, 1], "limits": [9, 10]}, "3 deviations"),

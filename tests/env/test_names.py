@@ -55,7 +55,7 @@ def test_a_text_names_organs_and_their_seeds() -> None:
         ({"organs": ("colon", "stomac:0-3")}, UnknownNameError, "Did you mean 'stomach'"),
         ({"organs": "gone.ply:mm"}, InputError, "Cannot read gone.ply: No such file"),
         ({"organs": "stomach:a"}, InputError, "NAME:SEED, NAME:FIRST-LAST, FILE:UNIT"),
-        ({"organs": "stomach:3-1"}, InputError, "rising seeds, such as stomach:1-3"),
+        ({"organs": "stomach:3-1"}, InputError, "ascending seeds, such as stomach:1-3"),
         ({"organs": "stomach:0-100000"}, InputError, "number of seeds is 100001. Allowed: up to"),
         ({"capsule": "magnetik"}, UnknownNameError, "No capsule named 'magnetik'"),
         ({"capsule": "gone.toml"}, InputError, "No capsule file at gone.toml"),

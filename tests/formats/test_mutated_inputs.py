@@ -26,7 +26,7 @@ def test_whole_inputs_are_read(targets):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:.*the last line is cut off:UserWarning")
+@pytest.mark.filterwarnings("ignore:.*the last line is truncated:UserWarning")
 def test_mutated_inputs_are_read_or_refused_in_one_line(targets):
     failures = []
     for k, target in enumerate(targets):

@@ -113,8 +113,8 @@ def arrays(**changes: np.ndarray) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (arrays(x=AXES[0] ** 3), r"axis x is not evenly spaced and rising"),
-        (arrays(x=AXES[0][::-1]), r"axis x is not evenly spaced and rising"),
+        (arrays(x=AXES[0] ** 3), r"axis x is not evenly spaced and ascending"),
+        (arrays(x=AXES[0][::-1]), r"axis x is not evenly spaced and ascending"),
         (arrays(z=AXES[2][:8]), r"flux_density has shape \(7, 5, 9, 3\)\. Allowed: \(7, 5, 8, 3\)"),
         (arrays(x=AXES[0][:3], flux_density=np.zeros((3, 5, 9, 3))), r"axis x has shape \(3,\)"),
         ({"x": AXES[0]}, r"Allowed: arrays x, y, z and flux_density"),

@@ -91,7 +91,7 @@ def test_bad_input():
         image_color(image, np.ones((3, 3), bool))
     with pytest.raises(InputError, match="four valid neighbors"):
         image_color(image, np.eye(24, 20, dtype=bool))
-    with pytest.raises(InputError, match="Sets of 0 and 1 images"):
+    with pytest.raises(InputError, match="The sets have 0 and 1 images"):
         color_distance([], [image_color(image, all_of(image))])
 
 

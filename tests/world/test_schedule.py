@@ -123,7 +123,7 @@ def test_wrong_tables(text: str, message: str, tmp_path: Path) -> None:
 def test_a_last_line_that_a_killed_process_cut_off_is_left_out(cut: str, tmp_path: Path) -> None:
     path = tmp_path / "pull.csv"
     path.write_text(f"{HEAD}\n0,1,2,3,4,5,6\n{cut}")
-    with pytest.warns(UserWarning, match="the last line is cut off"):
+    with pytest.warns(UserWarning, match="the last line is truncated"):
         assert read_wrenches(path) == (Wrench(0.0, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0)),)
     path.write_text(f"{HEAD}\n0,1,2,3,4,5,6\n1,1,2,3,4,5,6")
     assert [wrench.time for wrench in read_wrenches(path)] == [0.0, 1.0]

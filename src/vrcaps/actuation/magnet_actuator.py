@@ -215,7 +215,7 @@ class RobotActuator:
         count = self.robot.arm.num_joints
         if not len(state.joint_angles) == len(state.velocity) == count:
             raise InputError(
-                f"A state of {len(state.joint_angles)} joints for arm {self.robot.arm.name}. "
+                f"The state has {len(state.joint_angles)} joints, for arm {self.robot.arm.name}. "
                 f"Allowed: {count}, as `start` gives it."
             )
         goal = np.asarray(T_world_magnet, float)

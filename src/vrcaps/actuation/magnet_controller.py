@@ -272,7 +272,7 @@ class MagnetController:
         """
         axes = np.array([*linear, *angular], float)
         if axes.shape != (6,) or not (np.abs(axes) <= 1.0).all():
-            raise InputError(f"Joystick axes {axes}. Allowed: six numbers from -1 to 1.")
+            raise InputError(f"Joystick axes are {axes}. Allowed: six numbers from -1 to 1.")
         pose = self._requested.copy()
         pose[:3, 3] += speed * dt * axes[:3]
         pose[:3, :3] = rotate_by_vector(angular_speed * dt * axes[3:], pose[:3, :3])

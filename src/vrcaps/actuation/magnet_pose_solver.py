@@ -42,7 +42,7 @@ class Workspace:
         check_fields(self, of="Workspace")
         if not all(low <= high for low, high in zip(self.low, self.high, strict=True)):
             raise InputError(
-                f"A workspace from {self.low} to {self.high} m. Allowed: low up to high."
+                f"The workspace is from {self.low} to {self.high} m. Allowed: low up to high."
             )
         is_valid = 0.0 < self.min_distance < math.inf
         require(is_valid, "Workspace's min_distance", self.min_distance, "above 0 m")

@@ -147,7 +147,7 @@ def scaled_camera(camera: Camera, scale: float) -> Camera:
     if min(width, height) < _MIN_SIDE_PX:
         raise InputError(
             f"{camera.width} x {camera.height} pixels times {scale:g} are {width} x {height}. "
-            f"Allowed: {_MIN_SIDE_PX} or more to a side."
+            f"Allowed: {_MIN_SIDE_PX} or more per side."
         )
     lens, circle = camera.lens, camera.image_circle_px
     center = ((lens.cx + 0.5) * scale - 0.5, (lens.cy + 0.5) * scale - 0.5)

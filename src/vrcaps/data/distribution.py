@@ -287,6 +287,6 @@ def _check_limits(
 ) -> tuple[float, float]:
     values = [_number(x, path) for x in limits]
     if len(values) != 2 or values[0] > values[1] or values[0] <= above:
-        allowed = "two rising numbers" + (f" above {above:g}" if above > -math.inf else "")
+        allowed = "two ascending numbers" + (f" above {above:g}" if above > -math.inf else "")
         raise InputError(f"{path}: limits are {values}. Allowed: {allowed}.")
     return values[0], values[1]

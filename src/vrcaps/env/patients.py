@@ -62,7 +62,7 @@ def parse_organs(text: str) -> list[OrganGenerated | OrganFile]:
     first, last = int(seeds[1]), int(seeds[2] or seeds[1])
     if first > last:
         raise InputError(
-            f"The organ is {text!r}. Allowed: rising seeds, such as {name}:{last}-{first}."
+            f"The organ is {text!r}. Allowed: ascending seeds, such as {name}:{last}-{first}."
         )
     require(last - first < _MAX_SEEDS, "The number of seeds", last - first + 1, "up to 100,000")
     return [OrganGenerated(name, seed=seed) for seed in range(first, last + 1)]

@@ -85,7 +85,7 @@ class Randomization:
             if not is_range or ends[0] > ends[-1]:
                 raise InputError(
                     f"Randomization's {name} is {value}. Allowed: a factor above 0 to "
-                    f"{_MAX_FACTOR:g}, or a rising range of these."
+                    f"{_MAX_FACTOR:g}, or an ascending range of these."
                 )
         for name in _REFUSED:
             if getattr(self.effects, name) not in (0, None):
@@ -184,9 +184,9 @@ class Start:
         check_fields(self)
         low, high = self.fraction
         if not 0.0 <= low <= high <= 1.0:
-            raise InputError(f"Start's fraction is {self.fraction}. Allowed: 0 to 1, rising.")
+            raise InputError(f"Start's fraction is {self.fraction}. Allowed: 0 to 1, ascending.")
         if not all(map(math.isfinite, self.angle)) or self.angle[0] > self.angle[1]:
-            raise InputError(f"Start's angle is {self.angle}. Allowed: finite [rad], rising.")
+            raise InputError(f"Start's angle is {self.angle}. Allowed: finite [rad], ascending.")
 
     def draw(self, model: Model, rng: np.random.Generator) -> tuple[State, float]:
         """Draw a state at rest; returns it and its arc length [m].

@@ -105,7 +105,7 @@ def pinhole_of(
     *,
     name: str | None = None,
 ) -> Camera:
-    """Pinhole with the pose of a camera, as of `pinhole_camera`.
+    """Pinhole with the pose of a camera, see `pinhole_camera`.
 
     Args:
         camera: Camera with any lens.
@@ -165,7 +165,7 @@ class ResampledCamera:
         )
 
     def image(self, image: NDArray, channel: str) -> NDArray:
-        """Image of a channel as the target sees it, as of `resampled`."""
+        """Image of a channel as the target sees it, see `resampled`."""
         if not self.is_resampled:
             return image
         return _load(lambda channel, index: image, self.source, self.target, channel, 0)

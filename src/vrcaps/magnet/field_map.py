@@ -113,7 +113,7 @@ def _check_axis(path: Path, name: str, axis: np.ndarray) -> None:
     step = (axis[-1] - axis[0]) / (len(axis) - 1)
     if not (step > 0.0 and np.abs(axis - even).max() <= _REGULAR * step):
         raise InputError(
-            f"{path}: axis {name} is not evenly spaced and rising. Sample it on a regular grid."
+            f"{path}: axis {name} is not evenly spaced and ascending. Sample it on a regular grid."
         )
 
 

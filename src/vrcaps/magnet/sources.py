@@ -228,7 +228,7 @@ class FieldMap:
             raise InputError("A field map contains values that are not finite. Fill them in first.")
         if not (np.isfinite(self.origin).all() and min(self.spacing) > 0.0):
             raise InputError(
-                f"A field map with origin {self.origin} and spacing {self.spacing}. "
+                f"A field map has origin {self.origin} and spacing {self.spacing}. "
                 "Allowed: finite numbers, spacing above 0."
             )
         _finite(self, "factor", "strength")
@@ -262,7 +262,7 @@ class InternalMagnet:
         values = np.array([*self.position_capsule, *self.moment_capsule], float)
         if values.shape != (6,) or not np.isfinite(values).all() or not values[3:].any():
             raise InputError(
-                f"An internal magnet at {self.position_capsule} with the moment "
+                f"An internal magnet has position {self.position_capsule} and moment "
                 f"{self.moment_capsule}. Allowed: three finite numbers each, the moment not zero."
             )
 

@@ -191,7 +191,7 @@ def color_distance(a: Sequence[ImageColor], b: Sequence[ImageColor]) -> ColorDis
         InputError: If a set is empty.
     """
     if not a or not b:
-        raise InputError(f"Sets of {len(a)} and {len(b)} images. Allowed: at least 1 each.")
+        raise InputError(f"The sets have {len(a)} and {len(b)} images. Allowed: at least 1 each.")
 
     def apart(name: str) -> Float[np.ndarray, " 3"]:
         values = [np.stack([getattr(image, name) for image in side]) for side in (a, b)]

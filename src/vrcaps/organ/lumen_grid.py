@@ -150,7 +150,7 @@ def grid_crossings(
         shape: Shape of the grid.
 
     Raises:
-        InputError: If the triangles are so many and so large that memory would be exhausted.
+        InputError: If the triangles are too many and too large for the memory.
     """
     corners = vertices[faces]
     first = np.ceil(corners[..., :2].min(axis=1)).astype(int)

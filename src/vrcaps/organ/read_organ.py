@@ -63,7 +63,7 @@ def read_organ(
         if changes != _UNCHANGED:
             raise InputError(
                 f"{path} is an organ file: in meters, and read without changes. "
-                "Leave out the unit, name, open ends, texture coordinates and direction."
+                "Omit the unit, name, open ends, texture coordinates and direction."
             )
         return read_organ_file(path)
     if unit is None:

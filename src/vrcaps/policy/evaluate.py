@@ -271,7 +271,7 @@ def _new_place(dataset_id: str) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StorageError(
-            f"Cannot write Minari's folder: {error}. Set MINARI_DATASETS_PATH to a folder of yours."
+            f"Cannot write Minari's folder: {error}. Set MINARI_DATASETS_PATH to a writable folder."
         ) from error
     return path
 

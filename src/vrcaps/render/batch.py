@@ -104,7 +104,7 @@ def _check(renderers: Sequence[Renderer], channels: Sequence[str], poses: np.nda
             raise InputError(
                 f"Batches require direct light in an empty lumen, but light is "
                 f"{renderer.settings.light!r}. Set light to 'direct' and supersampling to 1 and "
-                "leave the contents out, or render one by one."
+                "omit the contents, or render one by one."
             )
         if renderer.settings != renderers[0].settings:
             raise InputError(

@@ -147,8 +147,7 @@ def apply_mucus_film(organ: OrganSurface, thickness: float) -> OrganSurface:
     look = organ.appearance
     if look is None:
         raise InputError(
-            f"{organ.name} has no appearance, so it cannot have a mucus film. Leave out "
-            "mucus_film_um."
+            f"{organ.name} has no appearance, so it cannot have a mucus film. Omit mucus_film_um."
         )
     covered = covered_fraction(thickness / _CELL_HEIGHT)
     texel = _texel_size(organ, look)

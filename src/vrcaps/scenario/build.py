@@ -187,7 +187,7 @@ class OrganSource:
         path = path_of(given.path)
         if is_organ_file(path) and (organ := _read_file(given)).appearance is not None:
             if given.mucosa is not None:
-                raise InputError(f"{path} has its own textures. Leave out the mucosa.")
+                raise InputError(f"{path} has its own textures. Omit the mucosa.")
             return organ
         key = fingerprint(asdict(given) | {"seed": self.seed})
         return cached_organ(f"file-{key}", lambda: self._with_appearance(_read_file(given)))

@@ -176,7 +176,7 @@ def read_numbers(
     lines = text.splitlines()
     is_cut_off = len(lines) > 2 and not text.endswith("\n")
     if is_cut_off and not _is_row(lines[-1], len(lines[0].split(","))):
-        warnings.warn(f"{path}: the last line is cut off, and left out.", stacklevel=2)
+        warnings.warn(f"{path}: the last line is truncated and is ignored.", stacklevel=2)
         del lines[-1]
     header = tuple(cell.strip() for cell in lines[0].split(",")) if lines else ()
     if header not in headers:

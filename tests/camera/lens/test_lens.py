@@ -173,7 +173,7 @@ def test_parameters_must_be_finite_numbers(value):
         (lambda: LensKannalaBrandt(1.0, -1.0, 0.0, 0.0), "fy = -1.0. Allowed: above 0"),
         (lambda: LensEquidistant(-2.0, 0.0, 0.0), "focal = -2.0. Allowed: above 0"),
         (lambda: LensEquirectangular(1.0, 0.0, 0.0, 0.0), "fy = 0.0. Allowed: above 0"),
-        (lambda: LensScaramuzza(-5.0, 0, 0, 0, 0, 0), "increases with the radius nowhere"),
+        (lambda: LensScaramuzza(-5.0, 0, 0, 0, 0, 0), "does not increase with the radius"),
         (lambda: LensScaramuzza(5.0, 0, 0, 0, 0, 0, 0.0), r"stretch c - d e = 0.0. Allowed: above"),
         (lambda: LensEquidistant(2.0, 0.0, 0.0, 4.0), "max_angle = 4.0. Allowed: above 0 to π rad"),
         (lambda: LensEquidistant(2.0, 0.0, 0.0, 0.0), "max_angle = 0.0. Allowed: above 0 to π rad"),

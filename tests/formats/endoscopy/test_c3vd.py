@@ -228,12 +228,12 @@ OMNI = "camera_omnidirectional_values.txt"
 @pytest.mark.parametrize(
     ("layout", "path", "text", "match"),
     [
-        ("c3vd", "pose.txt", "1,2,3\n", r"Cannot read .*A row contains 16 numbers"),
+        ("c3vd", "pose.txt", "1,2,3\n", r"Cannot read .*Rows must contain 16 numbers"),
         ("c3vd", "pose.txt", ",".join(["1"] * 16), "has 1 rows, but there is a frame 4"),
         ("c3vd", VALUES, "40 36 1", r"has 3 numbers. Allowed: width height fx"),
         ("c3vd", OMNI, "40 36 1", r"has 3 numbers. Allowed: width height cx cy a0"),
         ("c3vd", VALUES, "80 72 1 1 1 1 0 0 0 0 0", r"80x72 pixels, but .* has 40x36"),
-        ("ppsnet", "camera.txt", "a 1 2\n", "It contains six words"),
+        ("ppsnet", "camera.txt", "a 1 2\n", "It must contain six words"),
         ("endogslam", "c3vd.yaml", "camera_params: 3\n", "Allowed: 6 numbers"),
         ("endogslam", "c3vd.yaml", "a: [", "Cannot read"),
         ("endogslam", "c3vd.yaml", "- 1", "contains no table"),

@@ -67,7 +67,7 @@ def test_damage_is_one_clear_line(sequence, tmp_path):
     with pytest.raises(InputError, match="has no complete red channel"):
         read_exr(path)
     next(out.rglob("calibration.txt")).write_text("fx: 3\nfy: 4\n")
-    with pytest.raises(InputError, match=r"It contains a line `key: number` for fx"):
+    with pytest.raises(InputError, match=r"It must contain `key: number` for fx"):
         EndoMapper().read(out)
 
 

@@ -98,7 +98,7 @@ def test_real_cameras_have_frames_only(tmp_path):
     ("text", "match"),
     [
         ("x,y\n1,2\n", "does not start with the header"),
-        (HEADER, "has 0 rows, none of them of a frame"),
+        (HEADER, "has 0 rows, but none for an existing frame"),
         (b"\xff\xfe\x00", "Cannot read"),
     ],
 )

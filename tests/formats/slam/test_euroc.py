@@ -151,7 +151,7 @@ EUROC, LAB = "mav0/cam0/sensor.yaml", "calibration.yaml"
         ("euroc", EUROC, "distortion_model: fov", "distortion model fov. Allowed: radial"),
         ("euroc", EUROC, "distortion_model: none\nresolution: 3", "Allowed: 2 numbers"),
         ("euroc", "mav0/cam0/data.csv", "5\n", "row without the name of an image"),
-        ("euroc", "mav0/cam0/data.csv", "#t,f\n1.5,a.png\n", "'1.5' for a time in row 1"),
+        ("euroc", "mav0/cam0/data.csv", "#t,f\n1.5,a.png\n", "the time '1.5' in row 1"),
         ("euroc", "mav0/cam0/data.csv", b"\xff\xff", "Cannot read"),
         ("euroc", "mav0/state_groundtruth_estimate0/data.csv", "1,2\n", "Cannot read"),
         ("euroc", "mav0/state_groundtruth_estimate0/data.csv", "9,0,0,0,1,0,0,0\n", "no pose"),
@@ -177,7 +177,7 @@ def test_distortion_that_no_lens_has_is_one_clear_line(tmp_path):
     with pytest.raises(InputError, match=r"distortion_type fov1. Allowed: radtan4"):
         VslamLab().read(out)
     path.write_text(text.replace("depth_factor: 100000.0", "depth_factor: deep"))
-    with pytest.raises(InputError, match=r"depth_factor \['deep'\]. Allowed: 1 numbers"):
+    with pytest.raises(InputError, match=r"\['deep'\] for depth_factor\. Allowed: 1 numbers"):
         VslamLab().read(out)
     with pytest.raises(InputError, match=r"depth_factor is 0.5. Allowed: 1 or more"):
         VslamLab(depth_factor=0.5)

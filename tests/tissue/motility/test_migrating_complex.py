@@ -118,7 +118,7 @@ def test_rejects_an_organ_without_zones() -> None:
 @pytest.mark.parametrize(
     ("field", "value", "match"),
     [
-        ("cycle_means", (3.0, 2.0), "cycle_means is .* two rising times"),
+        ("cycle_means", (3.0, 2.0), "cycle_means is .* two ascending times"),
         ("third_phase", (-1.0, 2.0), "third_phase is"),
         ("fourth_phase", (0.0, float("inf")), "fourth_phase is"),
         ("shortest_cycle", 7000.0, "shortest_cycle is 7000.0"),

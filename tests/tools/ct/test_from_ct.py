@@ -192,10 +192,10 @@ def test_a_cut_lumen_is_capped_or_left_open(dry_scan, tube) -> None:
 @pytest.mark.parametrize(
     ("given", "text"),
     [
-        ({"edge": 0.5}, r"Edge length 500 mm. Allowed: 0.1 to 20 mm"),
-        ({"blur": -1.0}, r"Blur of -1 voxels. Allowed: 0 to 5"),
-        ({"pass_band": 0.0}, r"Pass band 0. Allowed: 0.001 to 2"),
-        ({"bridge": -1.0}, r"Bridges of -1000 mm. Allowed: 0 to 200 mm"),
+        ({"edge": 0.5}, r"The edge length is 500 mm. Allowed: 0.1 to 20 mm"),
+        ({"blur": -1.0}, r"The blur is -1 voxels. Allowed: 0 to 5"),
+        ({"pass_band": 0.0}, r"The pass band is 0. Allowed: 0.001 to 2"),
+        ({"bridge": -1.0}, r"The bridge width is -1000 mm. Allowed: 0 to 200 mm"),
     ],
 )
 def test_walls_that_cannot_be(given, text) -> None:

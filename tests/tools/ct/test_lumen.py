@@ -90,7 +90,7 @@ def test_a_lumen_that_leaks() -> None:
 
 
 def test_a_threshold_that_is_none() -> None:
-    with pytest.raises(InputError, match=r"Gas threshold 40 HU. Allowed: -1000 to -300"):
+    with pytest.raises(InputError, match=r"The gas threshold is 40 HU. Allowed: -1000 to -300"):
         find_lumens(boxes(BOWEL), threshold=40)
 
 

@@ -157,7 +157,7 @@ def test_device_and_effects_hold_what_was_found(match, frames, tmp_path) -> None
 @pytest.mark.slow
 def test_frames_that_cannot_be_used_are_an_error() -> None:
     made = photos(PLAIN, 3, seed=0)
-    with pytest.raises(InputError, match=r"Frames given: 2\. Allowed: 3 or more"):
+    with pytest.raises(InputError, match=r"2 frames are given\. Allowed: 3 or more"):
         make_frames(made[:2])
     with pytest.raises(InputError, match=r"2 has 224 × 223 px, 0 224 × 224\. Allowed: frames of"):
         make_frames([*made[:2], replace(made[2], rgb=made[2].rgb[:-1])])

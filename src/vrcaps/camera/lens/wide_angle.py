@@ -145,7 +145,7 @@ class LensScaramuzza:
         check_lens(self, positive=())
         if not self.a0 > 0.0:
             raise InputError(
-                f"Lens scaramuzza: a0 = {self.a0}: the angle increases with the radius nowhere. "
+                f"Lens scaramuzza: a0 = {self.a0}: the angle does not increase with the radius. "
                 "Allowed: above 0."
             )
         if not self.c - self.d * self.e > 0.0:

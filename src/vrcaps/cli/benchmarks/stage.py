@@ -78,7 +78,7 @@ class Stage:
 
 
 def make_organ(num_triangles: int, *, seed: int) -> OrganSurface:
-    """Generate a colon of about so many triangles, with its mucosa."""
+    """Generate a colon of about a number of triangles, with its mucosa."""
     from vrcaps.anatomy.colon import ColonParameters, generate_colon
     from vrcaps.mucosa.bake import bake_appearance
 

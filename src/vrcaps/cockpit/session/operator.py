@@ -101,7 +101,7 @@ class Operator:
         """
         given = np.array(axes, float)
         if given.shape != (6,) or not (np.abs(given) <= 1.0).all():
-            raise InputError(f"Joystick axes {axes}. Allowed: six numbers from -1 to 1.")
+            raise InputError(f"Joystick axes are {axes}. Allowed: six numbers from -1 to 1.")
         with self._lock:
             self._axes = given
             if given.any():

@@ -32,7 +32,7 @@ class Runner(Protocol):
             indices: Indices of the units.
 
         Raises:
-            VrcapsError: If units cannot be run at all.
+            VrcapsError: If no unit can be run.
         """
         ...
 

@@ -255,7 +255,7 @@ def _read_poses(path: Path) -> NDArray:
         return rows.reshape(-1, columns)[:, -16:].reshape(-1, 4, 4)
     except (OSError, ValueError) as error:
         raise InputError(
-            f"Cannot read {path}: {error}. A row contains {columns} numbers, those of a pose last."
+            f"Cannot read {path}: {error}. Rows must contain {columns} numbers, the pose last."
         ) from error
 
 
@@ -395,5 +395,5 @@ def _read_ppsnet(folder: Path, image: Path) -> Camera:
         _, *words, _ = path.read_text("utf-8-sig").splitlines()[0].split()
         lens = lens_from_values("pinhole", "fx fy cx cy", [float(word) for word in words])
     except (OSError, ValueError, IndexError) as error:
-        raise InputError(f"Cannot read {path}: {error}. It contains six words.") from error
+        raise InputError(f"Cannot read {path}: {error}. It must contain six words.") from error
     return camera_of(lens, image)

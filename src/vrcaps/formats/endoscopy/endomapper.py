@@ -152,7 +152,7 @@ def _read_camera(path: Path) -> Camera:
         fx, fy, cx, cy, cols, rows = (parameters[key] for key in _KEYS)
     except (OSError, ValueError, KeyError) as error:
         raise InputError(
-            f"Cannot read {path}: {error}. It contains a line `key: number` for {', '.join(_KEYS)}."
+            f"Cannot read {path}: {error}. It must contain `key: number` for {', '.join(_KEYS)}."
         ) from error
     return Camera("camera", LensPinhole(fx=fx, fy=fy, cx=cx, cy=cy), int(cols), int(rows))
 

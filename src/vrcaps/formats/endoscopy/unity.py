@@ -128,6 +128,6 @@ def frames_with_poses(
         if number < len(poses) and np.isfinite(poses[number]).all()
     }
     if not kept:
-        raise InputError(f"{path} has {len(poses)} rows, none of them of a frame that is there.")
+        raise InputError(f"{path} has {len(poses)} rows, but none for an existing frame.")
     rows = list(kept)
     return kept, {TIME: times[rows], CAMERA_POSE: poses[rows]}

@@ -135,7 +135,7 @@ def read_table(path: Path, order: str = "") -> list[list[str]]:
         rows = rows[1:]
     for number, row in enumerate(rows):
         if not row[0].isdigit():
-            raise InputError(f"{path} has {row[0]!r} for a time in row {number + 1}. Allowed: ns.")
+            raise InputError(f"{path} has the time {row[0]!r} in row {number + 1}. Allowed: ns.")
     return rows
 
 
@@ -262,7 +262,7 @@ def numbers_of(plain: Any, key: str, count: int, path: Path) -> list[float]:
         values = []
     if len(values) != count:
         text = reprlib.repr(given)[:80]
-        raise InputError(f"{path} has for {key} {text}. Allowed: {count} numbers.")
+        raise InputError(f"{path} has {text} for {key}. Allowed: {count} numbers.")
     return values
 
 

@@ -203,7 +203,7 @@ def _pair_faces(
     faces around them (`fan` of each corner); from there the choice propagates along the run.
 
     Raises:
-        InputError: If there are so many that this would take minutes.
+        InputError: If there are too many to separate within minutes.
     """
     fans, pairs, is_stuck, work = _Fans(fan), [], False, 0
     # Edges with the corners at their ends, and their fans at the last undecided attempt.

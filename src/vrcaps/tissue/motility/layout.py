@@ -55,7 +55,7 @@ class Layout:
         arc_length: Arc lengths [m].
         name: Segment of each sample, an index into `names`.
         names: Names of the organ's segments.
-        pace: Index of the pacemaker of each sample, rising.
+        pace: Index of the pacemaker of each sample, ascending.
         rate: Slow-wave rate of each pacemaker [1/s].
         parameters: Amplitude, speed [m/s], duration [s], extent [m], activity, retrograde and
             standing fraction, one row each.

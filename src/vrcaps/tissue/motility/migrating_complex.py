@@ -80,7 +80,7 @@ class ComplexStatistics:
     def __post_init__(self) -> None:
         for name in ("cycle_means", "third_phase", "fourth_phase"):
             low, high = getattr(self, name)
-            require(0.0 <= low <= high < math.inf, name, (low, high), "two rising times [s]")
+            require(0.0 <= low <= high < math.inf, name, (low, high), "two ascending times [s]")
         require(
             0.0 < self.shortest_cycle < self.cycle_means[0],
             "shortest_cycle",
@@ -145,7 +145,7 @@ class MigratingMotorComplex:
 
     Attributes:
         starts: Start times of the cycles [s], from 0; the last entry is when the first repeats.
-        positions: Arc lengths [m] of `delays`, rising.
+        positions: Arc lengths [m] of `delays`, ascending.
         delays: Time at which the front passes these positions, after the start of the cycle [s].
         first: Arc length at which the front of each cycle starts [m].
         last: Arc length at which it dies out [m].

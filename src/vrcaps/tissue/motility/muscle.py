@@ -76,7 +76,7 @@ class _Rule:
     Attributes:
         start: Start time [s].
         clock: Cycle of the migrating motor complex; None where none passes.
-        is_awake: Whether the muscle contracts at all.
+        is_awake: Whether the muscle contracts.
     """
 
     start: float

@@ -218,8 +218,8 @@ def rows_of(comparisons: Sequence[Comparison], unit: float | None) -> list[dict[
 
     Args:
         comparisons: Results.
-        unit: Pooled distance of a second real set, by which R divides; R is empty if it is None, or
-            not above 0, as of sets that do not differ.
+        unit: Pooled distance of a second real set, by which R divides; R is empty if it is None or
+            not above 0, as for sets that do not differ.
     """
     return [
         {
@@ -288,7 +288,7 @@ def write_report(
 def blind_sheet(
     real: DescribedSet, ours: DescribedSet, *, seed: int = 0
 ) -> tuple[UInt8[np.ndarray, "h w 3"], dict[str, list[int]]]:
-    """Sheet of equally many images of both sets in random order, and the positions of each.
+    """Sheet of an equal number of images of both sets in random order, and the positions of each.
 
     Returns:
         The sheet, 8 images in a row with positions from 1 at the upper left along rows, and the

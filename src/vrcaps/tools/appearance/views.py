@@ -35,7 +35,7 @@ _DARK = 24
 _MIN_FILLED = 0.1
 """Minimum fraction of brighter pixels in a row or column of the picture."""
 _MAX_PER_GROUP = 22
-"""Maximum number of images of one patient, so that no patient decides."""
+"""Maximum number of images of one patient, so that no patient dominates."""
 
 
 @dataclass(frozen=True)

@@ -54,9 +54,9 @@ def image_circle(images: Sequence[UInt8[np.ndarray, "h w 3"]]) -> ImageCircle | 
 
     Each pixel takes a high quantile, over the images, of its brightest channel (exceeded in a tenth
     of them), so that objects that are dark in some do not count. Along each direction from the
-    middle, the last position brighter than the dark sensor is found; the edge is where half of the
-    value 4 px further inside is left. Directions that are bright up to the border are ignored. The
-    circle minimizes Huber's function of the distances.
+    middle, the last position brighter than the dark sensor is found; the edge is where the value
+    falls to half of that 4 px further inside. Directions that are bright up to the border are
+    ignored. The circle minimizes Huber's function of the distances.
     """
     height, width = images[0].shape[:2]
     bright = np.quantile([image.max(axis=2) for image in images], 0.9, axis=0)
@@ -91,7 +91,7 @@ def _last(true: np.ndarray) -> np.ndarray:
 
 
 def _fitted(edge: np.ndarray, middle: np.ndarray) -> ImageCircle | None:
-    """Circle through edge points; None if they lie on none."""
+    """Circle through edge points; None if they do not lie on a circle."""
     radius = float(np.median(np.linalg.norm(edge - middle, axis=1)))
 
     def distance(x: np.ndarray) -> np.ndarray:

@@ -136,7 +136,7 @@ def calibrate(
 
 
 def check_fit(fit: Calibration) -> None:
-    """Check that a lens fits its corners at all.
+    """Check that a lens fits its corners.
 
     Corners of real photographs fit to 0.3 to 0.9 px; boards with wrong square counts, of which only
     part is detected, to 2 px and worse.

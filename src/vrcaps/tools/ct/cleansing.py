@@ -76,7 +76,7 @@ class Fluid:
 def find_fluid(scan: Volume, gas: Gas, *, posture: str) -> Fluid:
     """Segment tagged fluid: bright voxels with an air-fluid interface to gas that may be gut.
 
-    Bone is as bright, but gas never lies within 4 mm straight above 25 mm² of it.
+    Bone is as bright, but gas never lies within 4 mm directly above 25 mm² of it.
 
     Args:
         scan: Hounsfield units.

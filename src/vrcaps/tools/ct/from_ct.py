@@ -60,13 +60,13 @@ class WallOptions:
     def __post_init__(self) -> None:
         check_fields(self)
         if not 0.1 * MM <= self.edge <= 20 * MM:
-            raise InputError(f"Edge length {self.edge / MM:g} mm. Allowed: 0.1 to 20 mm.")
+            raise InputError(f"The edge length is {self.edge / MM:g} mm. Allowed: 0.1 to 20 mm.")
         if not (self.blur is None or 0.0 <= self.blur <= 5.0):
-            raise InputError(f"Blur of {self.blur:g} voxels. Allowed: 0 to 5.")
+            raise InputError(f"The blur is {self.blur:g} voxels. Allowed: 0 to 5.")
         if not 0.001 <= self.pass_band <= 2.0:
-            raise InputError(f"Pass band {self.pass_band:g}. Allowed: 0.001 to 2.")
+            raise InputError(f"The pass band is {self.pass_band:g}. Allowed: 0.001 to 2.")
         if not 0.0 <= self.bridge <= 0.2:
-            raise InputError(f"Bridges of {self.bridge / MM:g} mm. Allowed: 0 to 200 mm.")
+            raise InputError(f"The bridge width is {self.bridge / MM:g} mm. Allowed: 0 to 200 mm.")
 
 
 def organ_from_gas(
@@ -175,7 +175,7 @@ def require_threshold(threshold: int) -> None:
         InputError: If it lies outside −1000 to −300 HU.
     """
     if not -1000 <= threshold <= -300:
-        raise InputError(f"Gas threshold {threshold} HU. Allowed: -1000 to -300.")
+        raise InputError(f"The gas threshold is {threshold} HU. Allowed: -1000 to -300.")
 
 
 def _gaps_of_gas(

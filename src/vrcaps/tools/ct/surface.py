@@ -41,7 +41,7 @@ def colon_borders(centerline: Centerline) -> Float[np.ndarray, " 7"]:
     The hepatic flexure is the point farthest up and to the right in the first half of the course,
     the splenic one the point farthest up and to the left around its middle: loops of the transverse
     colon may rise as high, but between the two. Each flexure has its published fraction of the
-    length. The stretches before, between and behind are divided in the published proportions
+    length. The stretches before, between and after them are divided in the published proportions
     (`ColonParameters`).
 
     Args:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from vrcaps.tools.photos import Photo
 
 MAX_WIDTH = 1024
-"""Maximum width of photographs [px]; wider ones are first halved, or more."""
+"""Maximum width of photographs [px]; wider ones are downsampled by an integer factor."""
 
 _VESSEL_REACH = 1024  # side of the square in which vessels are searched [px]
 _WORSE = 0.5  # maximum excess of unevenness of a further photograph's region over the best

@@ -130,7 +130,7 @@ def make_frames(
         InputError: If frames are fewer than `MIN_FRAMES`, differ in size, or none shows a wall.
     """
     if len(photos) < MIN_FRAMES:
-        raise InputError(f"Frames given: {len(photos)}. Allowed: {MIN_FRAMES} or more.")
+        raise InputError(f"{len(photos)} frames are given. Allowed: {MIN_FRAMES} or more.")
     first = photos[0]
     field = []
     for k, photo in enumerate(photos):

@@ -207,7 +207,7 @@ _STRIDE = 8
 _FLATTEST = 0.1
 """Fraction of the blocks at a brightness that are treated as flat; texture adds variance."""
 _CORRELATION = (1.0 + 2.0 * (4.0 / 6.0) ** 2 + 2.0 * (1.0 / 6.0) ** 2) ** 2
-"""Sum of the squared autocorrelation of white noise after the filter [1 -2 1] both ways."""
+"""Sum of the squared autocorrelation of white noise after the filter [1 -2 1] along both axes."""
 MAX_ELECTRONS = 1e6
 """Full well above which noise is negligible."""
 _NUM_LEVELS, _FEWEST_LEVELS, _FEWEST_BLOCKS = 12, 3, 30
@@ -233,8 +233,8 @@ class NoiseModel:
 def fit_noise(frames: Frames) -> NoiseModel | None:
     """Fit gain and read noise of the green channel; None if coding hides the noise.
 
-    A second difference along rows and columns, [1 -2 1] both ways over 6, keeps the variance of
-    white noise and removes shading (Immerkær, CVIU 64(2), 1996). Blocks of 16 px are sorted by
+    A second difference along rows and columns, [1 -2 1] along both axes over 6, keeps the variance
+    of white noise and removes shading (Immerkær, CVIU 64(2), 1996). Blocks of 16 px are sorted by
     brightness; at each level, the noise variance is the variance of the flattest tenth, divided by
     its expectation for uniform noise (chi-squared). The line is photon transfer's (Janesick 2007).
     The variance of rounding to 8 bits is subtracted; smaller noise cannot be measured. Demosaicing,

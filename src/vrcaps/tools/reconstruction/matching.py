@@ -5,7 +5,7 @@ Invariant Features, IJCV 74(1), 2007, sections 2 and 3. Nearest neighbors are ex
 results are reproducible.
 
 Highlights are detected by Otsu's threshold and inpainted by Telea's method. The threshold applies
-to the excess of the least color channel over its local median, scaled like the greatest channel: a
+to the excess of the minimum color channel over its local median, scaled like the maximum channel: a
 highlight adds white light, and mucosa is poor in blue. Brightness itself is unsuitable, as near
 walls are the brightest.
 """

@@ -79,7 +79,7 @@ def sample(dataset: Dataset, num_shots: int = NUM_SHOTS) -> Sample:
 
     Args:
         dataset: Open data set with at least one recording.
-        num_shots: Number of frames; fewer if there are not so many.
+        num_shots: Number of frames; fewer if the data set has fewer.
 
     Raises:
         InputError: If a file cannot be read.

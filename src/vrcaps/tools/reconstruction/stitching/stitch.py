@@ -95,7 +95,7 @@ def stitch(
     """Stitch the frames of a sequence into one wide image, with depth if it is known.
 
     Args:
-        sequence: Images and camera; depth, if the wide image shall have depth.
+        sequence: Images and camera; depth, if the wide image needs depth.
         settings: Settings of the stitching.
         progress: Called with the number of frames with computed features and the total.
 

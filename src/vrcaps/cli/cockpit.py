@@ -159,7 +159,7 @@ class Bridge(_Drive):
 
     Topics, commands and a client of ten lines: docs/how-to/connect-a-robot.md.
 
-    The server listens on this machine only and refuses web pages. It does not ask for a password:
+    The server listens on this machine only and rejects web pages. It does not ask for a password:
     with --host 0.0.0.0 anyone on the network can steer.
 
     For example:

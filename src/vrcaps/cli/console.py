@@ -126,7 +126,7 @@ class _Lines:
 
     @contextmanager
     def reporting(self) -> Iterator[None]:
-        """Write lines also while nothing is driven, such as while an organ is generated."""
+        """Write lines even without updates, such as while an organ is generated."""
         if sys.stderr.isatty():
             yield
             return

@@ -139,7 +139,7 @@ class Make:
     """
 
     name: Positional[str]
-    """Organ of `vrcaps organ list`, such as stomach; full-tract is all three as one wall."""
+    """Organ of `vrcaps organ list`, such as stomach; full-tract joins all three in one wall."""
 
     seed: int = 0
     """Patient seed; each seed is a different patient."""
@@ -204,7 +204,7 @@ class Make:
 def report_organ(organ: OrganSurface, picture: Path) -> None:
     """Print the measures as a table, and the repairs of a mesh file, and write the picture.
 
-    Without Matplotlib, the picture is left out.
+    Without Matplotlib, the picture is omitted.
     """
     from importlib.util import find_spec
 

@@ -108,7 +108,7 @@ class Record:
     Unless they are set, turbid fluid, the film on the dome, tilt and distension are drawn by
     prevalence in a generated organ; --set variation=false leaves the lumen empty.
 
-    A scenario file describes a whole recording; flags and --set change single values of it. Every
+    A scenario file describes a whole recording; flags and --set change individual values. Every
     value of the scenario has a path: vrcaps record --list-settings prints all of them with their
     types, units and defaults.
 

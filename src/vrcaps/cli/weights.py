@@ -45,7 +45,7 @@ class List:
 
 @dataclass(frozen=True)
 class Pull:
-    """Fetch published weights and their model cards, each checked by its checksum.
+    """Fetch published weights and their model cards, and verify their checksums.
 
     Commands such as `vrcaps predict` then find them by name. A checkout of vrcaps has them already.
 
@@ -103,7 +103,8 @@ class Publish:
     """Output folder of `vrcaps train`."""
 
     name: str = ""
-    """Name of the task, to be the default of its commands, or the task, a dash and a suffix."""
+    """Name of the task, to be the default of its commands, or the task with a suffix after a
+    dash."""
 
     scores: UseAppendAction[tuple[Path, ...]] = ()
     """Folder that `vrcaps evaluate TASK --out` wrote for these weights; repeat for more."""

@@ -2,8 +2,8 @@
 
 They run in the event loop of the page's server. All methods of `Hub` may be called from any thread
 and never wait for a browser: a newer status or image replaces one that was not sent yet, and a
-browser that floods or stalls loses its connection. Few statuses and images are on the way to a
-browser at a time, since it confirms each by `READY`; otherwise a slow one would lag by seconds.
+browser that floods or stalls is disconnected. Few statuses and images are on the way to a browser
+at a time, since it confirms each by `READY`; otherwise a slow one would lag by seconds.
 """
 
 from __future__ import annotations

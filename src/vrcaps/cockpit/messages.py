@@ -325,7 +325,7 @@ class Viewpoint:
 
     Attributes:
         world: Directions of the world's x, y, z on the screen: right, up, towards the viewer.
-        patient: The same of the patient's left, posterior and superior directions.
+        patient: The same for the patient's left, posterior and superior directions.
         height: Height of the visible part at the point that is looked at [m].
     """
 

@@ -1,7 +1,7 @@
 """Serialization: trees of frozen dataclasses to and from the plain values of TOML and JSON.
 
 A field's type is the schema: ``bool``, ``int``, ``float``, ``str``, ``None``, ``Literal``, ``Any``,
-tuples, dataclasses and unions of these. Infinity is the text ``inf``. If a union has several
+tuples, dataclasses and unions of these. Infinity is the string ``inf``. If a union has several
 dataclasses, the key ``kind`` selects the class by its class variable `kind`. A base class that
 `register_family` names stands for the union of its family's classes. Missing keys of a table are
 taken from the default value of that table's field. A dataclass whose files differ from its fields
@@ -72,7 +72,7 @@ def to_plain(value: Any, declared: Any, *, units: bool = False) -> Any:
     """Convert a value of the declared type to plain form.
 
     Args:
-        value: A dataclass, tuple, number, text or None.
+        value: A dataclass, tuple, number, string or None.
         declared: Its type; determines whether a dataclass includes its `kind`.
         units: Write fields in the units of their metadata, as decimals, and omit None.
     """
@@ -345,7 +345,7 @@ def _item_types(declared: Any, count: int) -> tuple[Any, ...]:
 
 
 def classes_by_kind(declared: Any) -> Mapping[str, type]:
-    """Dataclasses of a union or a family by kind; the only one, by an empty text.
+    """Dataclasses of a union or a family by kind; the only one, by an empty string.
 
     Dataclasses without a kind, next to others, have no plain form.
     """
@@ -371,7 +371,7 @@ def _fits(member: Any, plain: Any) -> bool:
 
 
 def _is_number(plain: Any) -> bool:
-    """Return whether a value is a number that a float can hold, or the text for infinity."""
+    """Return whether a value is a number that a float can hold, or the string for infinity."""
     if isinstance(plain, float):
         return True
     if isinstance(plain, bool) or not isinstance(plain, int | Decimal):

@@ -37,7 +37,7 @@ _UNIT = 1e-3
 class Commands(ABC):
     """Commands that wait for their simulated time, and the last of them.
 
-    A command acts from the stamp of its header on, at once if the stamp is 0 or past.
+    A command takes effect at the stamp of its header, immediately if that is 0 or past.
 
     Attributes:
         kinds: Type of the messages by topic.
@@ -71,7 +71,7 @@ class Commands(ABC):
         return note
 
     def stop(self) -> None:
-        """Drop commands that wait, and stop; callable from any thread."""
+        """Drop pending commands, and stop; callable from any thread."""
         with self._lock:
             self._waiting.clear()
             heapq.heappush(self._waiting, (0, next(self._number), "", None))

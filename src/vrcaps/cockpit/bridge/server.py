@@ -1,7 +1,7 @@
 """WebSocket server of the bridge, in a separate thread, so that no client slows the simulation.
 
 Each client has bounded queues: the oldest messages of a topic are dropped for a slow one, and one
-that floods, or takes no data for 10 s, loses its connection.
+that floods, or reads no data for 10 s, is disconnected.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ class BridgeServer:
                 self._commands.stop()
 
     async def drain(self) -> None:
-        """Send what waits for the clients, for at most a second."""
+        """Send pending messages to the clients, for at most one second."""
         for _ in range(100):
             if all(client.is_empty for client in self._clients.values()):
                 return

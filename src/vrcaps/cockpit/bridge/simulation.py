@@ -130,7 +130,7 @@ def _result(error: str = "") -> dict[str, Any]:
 
 
 class LiveSimulation:
-    """Simulation of a scenario whose magnet or coils obey clients, frame by frame.
+    """Simulation of a scenario whose magnet or coils are controlled by clients, frame by frame.
 
     Attributes:
         scenario: The scenario, without open settings.

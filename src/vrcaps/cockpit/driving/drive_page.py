@@ -117,7 +117,7 @@ class DrivePage(Page):
 
     @property
     def driver(self) -> int | None:
-        """Number of the browser that drives; None if none does."""
+        """ID of the browser that drives; None if none does."""
         return self._driver
 
     def take_over(self, client: int) -> None:
@@ -273,7 +273,7 @@ class DrivePage(Page):
             self.show_image("map", picture)
 
     def _report_policy(self) -> None:
-        """Report when a policy has started or has handed back."""
+        """Report when a policy has started or has ended control."""
         drives, before = self.session.operator.policy, self._policy
         if drives == before:
             return

@@ -116,7 +116,7 @@ def coils_name(steering: CoilSteering | None) -> str:
 
 
 def _controls(session: Session) -> dict[str, str]:
-    """Functions of a gamepad; coils pull and turn the capsule."""
+    """Functions of a gamepad; with coils they pull and turn the capsule."""
     if session.rollout.coils is None:
         return CONTROLS
     return {
@@ -270,7 +270,7 @@ QUANTITIES = (
     Quantity("Coverage", "%", 5.0, 1, lambda view, seen, images: 100.0 * seen.fraction),
     Quantity("Exposure", "× nominal", 0.5, 2, lambda view, seen, images: images.exposure),
 )
-"""Quantities of a drive; the page shows the first two at first."""
+"""Quantities of a drive; the page initially shows the first two."""
 
 
 class Readings:

@@ -154,7 +154,7 @@ class WallMap:
         return next(inside, "")
 
     def place(self, view: View) -> tuple[float, float]:
-        """Place of the capsule by the nearest point of the centerline.
+        """Position of the capsule by the nearest point of the centerline.
 
         Returns:
             Fractions from left to right and from top to bottom.

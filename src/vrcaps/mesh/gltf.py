@@ -184,7 +184,7 @@ def _parts(
     if label is not None:
         label = narrow(label.reshape(-1), np.uint8, "labels (_LABEL)")
     if instance is not None:
-        instance = narrow(instance.reshape(-1), np.uint16, "lesion numbers (_INSTANCE)")
+        instance = narrow(instance.reshape(-1), np.uint16, "lesion IDs (_INSTANCE)")
     for moved, is_mirrored in _moved(file, node, attributes, points, scene_transforms):
         turn = slice(None, None, -1 if is_mirrored else 1)
         yield Mesh(moved, faces[:, turn], None if uv is None else uv[:, turn], label, instance)

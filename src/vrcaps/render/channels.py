@@ -149,7 +149,7 @@ class Frame:
         "class",
     )
     instance: UInt16[np.ndarray, "h w"] | None = channel(
-        "uint16", "lesion number", numbers("number", "uint16"), "instance"
+        "uint16", "lesion ID", numbers("number", "uint16"), "instance"
     )
     albedo: Float[np.ndarray, "h w 3"] | None = channel(
         "float32",
@@ -203,7 +203,7 @@ class Frame:
     )
     foreground_label: UInt8[np.ndarray, "h w"] | None = channel(
         "uint8",
-        "nearest thing that the pixel looks through",
+        "nearest medium in front of the surface",
         numbers("class", "uint8"),
         "class",
         class_names=("nothing", "bubble", "liquid"),
@@ -211,7 +211,7 @@ class Frame:
     )
     foreground_instance: UInt16[np.ndarray, "h w"] | None = channel(
         "uint16",
-        "bubble or pool that the pixel looks through",
+        "bubble or pool in front of the surface",
         numbers("number", "uint16"),
         "instance",
         if_empty=0,
@@ -226,7 +226,7 @@ class Frame:
     )
     refraction_label: UInt8[np.ndarray, "h w"] | None = channel(
         "uint8",
-        "how a pool's surface deflects the ray",
+        "deflection of the ray by the surface of a pool",
         numbers("class", "uint8"),
         "class",
         class_names=("straight", "refracted", "reflected"),
@@ -234,7 +234,7 @@ class Frame:
     )
     dome_label: UInt8[np.ndarray, "h w"] | None = channel(
         "uint8",
-        "what lies on the dome there",
+        "matter on the dome",
         numbers("class", "uint8"),
         "class",
         class_names=("nothing", "drop", "smear"),

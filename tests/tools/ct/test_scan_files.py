@@ -222,7 +222,7 @@ def test_voxels_that_are_not_finite_are_counted(tmp_path, bad, kind, suffix) -> 
     values[1, 2, 1:3] = bad
     write_values(tmp_path / f"scan{suffix}", values)
     for is_label_map in (False, True):
-        with pytest.raises(InputError, match=r"2 (voxels|of the label numbers).* not (fin|all)"):
+        with pytest.raises(InputError, match=r"2 (voxels|of the label IDs).* not (fin|all)"):
             read_volume(tmp_path / f"scan{suffix}", is_label_map=is_label_map)
 
 
@@ -257,7 +257,7 @@ def test_label_numbers_are_whole_and_in_range(tmp_path, kind, given, shown) -> N
     values = np.zeros((4, 4, 4), kind)
     values[0, 0, 0] = given
     write_values(tmp_path / "labels.nii", values)
-    with pytest.raises(InputError, match=rf"label numbers of .* the first is {shown}\. Allowed"):
+    with pytest.raises(InputError, match=rf"label IDs of .* the first is {shown}\. Allowed"):
         read_volume(tmp_path / "labels.nii", is_label_map=True)
     values[0, 0, 0] = 20
     write_values(tmp_path / "labels.nii", values)

@@ -366,7 +366,7 @@ def _read_file(path: Path, *, is_label_map: bool) -> Volume:
     if path.name.lower().endswith((".nii", ".nii.gz")):
         require_finite_nifti(path)
     stored = sitk.GetArrayViewFromImage(image)
-    values, name = np.empty(stored.shape, np.int16), f"label numbers of {path}"
+    values, name = np.empty(stored.shape, np.int16), f"label IDs of {path}"
     for k, own in enumerate(stored):  # one by one, to avoid a copy of the scan
         values[k] = narrow(own, np.int16, name) if is_label_map else hounsfield(own, path)
     return Volume(values, grid_transform(image), str(path))

@@ -1,6 +1,6 @@
 """Claim: every generated wall has at least 8 texels per mm on 95 % of its area, baked in 30 s.
 
-Density is that in the direction in which a face's texels are widest; 8 bytes a texel are held by
+Density is that in the direction in which a face's texels are widest; 8 bytes per texel are held by
 the organ, and 10.7 by a renderer with its mip levels. Writes a table into
 docs/concepts/mucosa.md: ``python -m benchmarks.speed.bake``.
 """

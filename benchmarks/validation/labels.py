@@ -240,7 +240,7 @@ def main() -> None:
     text = (
         "## Labels\n\n`python -m benchmarks.validation.labels`: recorded episodes against Embree "
         "through the pose,\ncamera and `organ.glb` that were written; "
-        f"{given.size - 1} frames\nthrough the whole organ and {given.size - 1} at 1 mm a frame, "
+        f"{given.size - 1} frames\nthrough the whole organ and {given.size - 1} at 1 mm per frame, "
         "flow from the latter.\n\n"
         + table(("organ", "capsule", *HEAD), rows)
         + "\n\nA smooth normal that points away from the camera, near an outline, is stored bent "

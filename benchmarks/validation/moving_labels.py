@@ -77,7 +77,7 @@ class MovingTally(Tally):
         return (f"{1e3 * max(self.moved):.1f}", *super().row(), *more)
 
 
-MOVING_HEAD = ("wall moves up to [mm a frame]", *HEAD, "backward within 0.05 px", "occlusion alike")
+MOVING_HEAD = ("wall motion [mm per frame]", *HEAD, "backward within 0.05 px", "occlusion alike")
 
 
 def compare(episode: Episode, tally: MovingTally) -> None:

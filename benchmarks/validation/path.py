@@ -120,7 +120,7 @@ def main() -> None:
     text = f"""## Path tracing
 
 Linear radiance [W/(sr·m²)] against Mitsuba 3 (`llvm_ad_rgb`, `path`, `principled`), {given.size} ×
-{given.size} pixels, {IMAGES} images of {SAMPLES} paths a pixel each; the six LEDs of MiroCam as
+{given.size} pixels, {IMAGES} images of {SAMPLES} paths per pixel each; the six LEDs of MiroCam as
 points, random coarse textures of color and roughness.
 
 {table(HEAD, rows)}

@@ -1,6 +1,6 @@
 """vrcaps: a virtual environment for capsule endoscopy.
 
-The names in `__init__.pyi` are imported on first use, so that the import of the package is cheap.
+The names in each `__init__.pyi` are imported on first use, so that imports of packages are cheap.
 """
 
 import lazy_loader

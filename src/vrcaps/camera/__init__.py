@@ -2,8 +2,6 @@
 
 `camera` has the data type and the rays of its pixels, `lens` the lens models and their conversion,
 `derive` changes a camera's size or distortion.
-
-The names in `__init__.pyi` are loaded when they are first used.
 """
 
 import lazy_loader

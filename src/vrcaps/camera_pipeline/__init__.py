@@ -3,7 +3,6 @@
 The effects of each stage are one module in `effect/`, with parameters for severities 0 to 4;
 `effects.Effects` collects those of a recording and parses them from text.
 `pipeline.CameraPipeline` applies them to one camera, `capsule_cameras` to all cameras of a capsule.
-The names in `__init__.pyi` are loaded on first use.
 """
 
 import lazy_loader

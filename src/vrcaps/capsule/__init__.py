@@ -2,7 +2,6 @@
 
 `device.Device` is the data type. `device_file.read_device` reads a device of the catalog in
 `devices/` or a custom TOML file.
-The names in `__init__.pyi` are loaded on first use.
 """
 
 import lazy_loader

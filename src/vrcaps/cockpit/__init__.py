@@ -21,8 +21,6 @@ again from its commands alone, to the same bytes. Types on the arrows:
 
 An error in a page does not stop the simulation: it becomes a message in the page and a
 line in the terminal.
-
-The names in `__init__.pyi` are loaded when they are first used.
 """
 
 import lazy_loader

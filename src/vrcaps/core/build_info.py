@@ -1,4 +1,4 @@
-"""Versions that output bytes depend on, besides the input: the compiled core and the packages."""
+"""Versions that determine output bytes besides the input: the compiled core and the packages."""
 
 from __future__ import annotations
 

@@ -2,8 +2,6 @@
 
 `plan` reads a plan, `units` resolves it to recordings, `make` records them in parallel into a
 `store`, whose `ledger` lists the complete ones. `dataset` and `loading` read them back.
-
-The names in `__init__.pyi` are loaded when they are first used.
 """
 
 import lazy_loader

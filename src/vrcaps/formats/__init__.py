@@ -1,7 +1,6 @@
 """Formats: external file layouts, written from episodes and data sets, read as frame sequences.
 
 `format` lists them by field, `io` writes and reads any of them, `rectify` resamples to a pinhole.
-The names in `__init__.pyi` are loaded when they are first used.
 """
 
 import lazy_loader

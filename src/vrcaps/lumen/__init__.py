@@ -3,8 +3,6 @@
 `contents` sets the contents by severity or parameters, `preparation` by the Boston scale.
 `lumen_contents` holds the contents of an organ at one instant: `placement` positions the spheres
 (`particles`), `along_gut` varies amounts along the gut, `pools` locates standing liquid.
-
-The names in `__init__.pyi` are loaded on first use.
 """
 
 import lazy_loader

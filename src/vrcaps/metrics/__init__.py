@@ -1,7 +1,4 @@
-"""Metrics of images, depth, poses and shapes, in pure NumPy.
-
-The names in `__init__.pyi` are loaded when they are first used.
-"""
+"""Metrics of images, depth, poses and shapes, in pure NumPy."""
 
 import lazy_loader
 

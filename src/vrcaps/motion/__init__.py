@@ -3,7 +3,6 @@
 Each kind is one file (`fly_through`, `random_views`, `replay`, `dynamics`) and one line in
 `registry`; `motion` defines their interface. A motion yields one `motion.Step` per frame, from a
 `trajectory` known in advance or from a `rollout` of the world.
-The names in `__init__.pyi` are loaded on first use.
 """
 
 import lazy_loader

@@ -1,8 +1,6 @@
 """Policies for the capsule in an environment, baselines and trained ones, and their evaluation.
 
 `policy` defines the protocol of a policy; `catalog` lists the baselines and reads policies by name.
-
-The names in `__init__.pyi` are loaded when they are first used.
 """
 
 import lazy_loader

@@ -3,7 +3,6 @@
 `recorder.record` writes an episode, `episode.read_episode` reads it, `check` verifies it. `layout`
 defines the files, `frame_files` those of a frame, `organ_files` that of the organ, `table` the
 columns of `frames.parquet`; `resume` checks and resumes a folder.
-The names in `__init__.pyi` are loaded on first use.
 """
 
 import lazy_loader

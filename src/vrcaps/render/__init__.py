@@ -3,7 +3,6 @@
 `renderer.Renderer` renders a `channels.Frame` under `settings.RenderSettings`, `batch` many at
 once. `flow` computes optical flow, `refraction` apparent points at pool surfaces, `scattering` the
 tissue's optics; `scene` and `imaging` prepare the wall's appearance.
-The names in `__init__.pyi` are loaded on first use.
 """
 
 import lazy_loader

@@ -2,7 +2,6 @@
 
 `scenario.Scenario` is the tree, read from and written to TOML or JSON; `settings` changes it by
 path (`--set`). `build` resolves its open settings and creates organ, model of the world and motion.
-The names in `__init__.pyi` are loaded on first use.
 """
 
 import lazy_loader

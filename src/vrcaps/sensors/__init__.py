@@ -3,8 +3,6 @@
 `sensors.Sensors` selects and configures them; `imu` and `hall` simulate their readings; `localize`
 estimates the pose of the capsule from one reading of a Hall array, `tracking` over time with the
 Kalman filter of `pose_filter`.
-
-The names in `__init__.pyi` are loaded when they are first used.
 """
 
 import lazy_loader

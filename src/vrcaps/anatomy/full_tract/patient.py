@@ -199,7 +199,7 @@ def draw_patient_anatomy(seed: int, distension: str | None = None) -> PatientAna
     """Draw the patient of a seed, the same for every organ and distension.
 
     Args:
-        seed: Not negative.
+        seed: Seed of the patient, 0 or more.
         distension: Distension of all organs, one of `COLON_DISTENSIONS`; None is the default: the
             colon insufflated, the stomach after a drink, the small bowel fasting, so slack.
 

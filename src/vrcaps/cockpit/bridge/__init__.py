@@ -10,8 +10,6 @@ Types on the arrows:
 - `server.BridgeServer` serves the clients in a separate thread, so that none slows the simulation;
   `protocol` parses and checks their requests (rosbridge protocol 2.1, as JSON).
 - `commands` converts their messages to those of the magnet or the coils, at a simulated time.
-
-The names in `__init__.pyi` are loaded when they are first used.
 """
 
 import lazy_loader

@@ -1,6 +1,6 @@
 """C3VD: phantom colon with depth, normals, flow and poses, and the layouts of its readers.
 
-Depth is z in 16 bits, 65,535 is 100 mm: 1.53 µm a step; 0 and 65,535 mean no value. Normals are
+Depth is z in 16 bits, 65,535 is 100 mm: 1.53 µm per step; 0 and 65,535 mean no value. Normals are
 camera x, y, z from −1 to 1 in red, green, blue, 0 to 65,535. Flow goes to the frame *before*: x
 and y from −20 to 20 px in red and green. A row of ``pose.txt`` is the *transpose* of the
 camera-to-world matrix in millimeters: points are rows, ``p_world = p_camera T``. Where normals or

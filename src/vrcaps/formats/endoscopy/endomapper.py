@@ -105,7 +105,7 @@ class EndoMapper:
             write_bytes(root / _CALIBRATION, text.encode())
 
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
-        """Return the sequences of a folder. Frames whose row of poses is damaged are left out.
+        """Return the sequences of a folder. Frames whose row of poses is damaged are excluded.
 
         Raises:
             InputError: If it is not in this layout.

@@ -1,11 +1,10 @@
 """EndoSLAM: synthetic frames of its UnityCam, and frames of its real cameras.
 
 A sequence has ``Frames/image_0000.png``, ``Pixelwise Depths/aov_image_0000.png`` (z, one byte in
-four equal planes, 1 cm a step) and ``Poses/*_position_rotation.csv``: camera to world in Unity's
-left-handed frame, in decimeters, quaternion xyzw, one row per frame from 0; the last row is
-often cut off. ``Calibration/cam.txt`` holds K. Of the real cameras only `Frames` have
-this form; frames without such a file have no poses. Source:
-https://github.com/CapsuleEndoscope/EndoSLAM.
+four equal planes, 1 cm per step) and ``Poses/*_position_rotation.csv``: camera to world in Unity's
+left-handed frame, in decimeters, quaternion xyzw, one row per frame from 0; the last row is often
+truncated. ``Calibration/cam.txt`` holds K. Of the real cameras only `Frames` have this form; frames
+without such a file have no poses. Source: https://github.com/CapsuleEndoscope/EndoSLAM.
 """
 
 from __future__ import annotations
@@ -102,7 +101,7 @@ class EndoSlam:
     def read(self, folder: Path) -> tuple[FrameSequence, ...]:
         """Return the sequences of a folder; poses and `cam.txt` are optional.
 
-        Frames whose row of poses is cut off or damaged are left out.
+        Frames whose row of poses is truncated or damaged are excluded.
 
         Raises:
             InputError: If it is not in this layout.

@@ -1,11 +1,11 @@
 """SimCol3D: synthetic colonoscopy with depth and poses, of the MICCAI 2022 challenge.
 
 ``SyntheticColon_I/Frames_S1/`` holds ``FrameBuffer_0000.png`` (color) and ``Depth_0000.png``, z as
-``v / 255 / 256 · 20 cm`` in 16 bits: 3.06 µm a step, up to 20.08 cm. Next to the folders of frames
-are ``SavedPosition_S1.txt`` (cm), ``SavedRotationQuaternion_S1.txt`` (xyzw), camera to world in
-Unity's left-handed frame, and ``cam.txt``, K of all of them. Loaders multiply integer pixel indices
-by the inverse of K, so (0, 0) is the center of a pixel, although the 237.5 of the real files is
-half of 475 px, measured from the corner. Source: https://github.com/anitarau/simcol and
+``v / 255 / 256 · 20 cm`` in 16 bits: 3.06 µm per step, up to 20.08 cm. Next to the folders of
+frames are ``SavedPosition_S1.txt`` (cm), ``SavedRotationQuaternion_S1.txt`` (xyzw), camera to world
+in Unity's left-handed frame, and ``cam.txt``, K of all of them. Loaders multiply integer pixel
+indices by the inverse of K, so (0, 0) is the center of a pixel, although the 237.5 of the real
+files is half of 475 px, measured from the corner. Source: https://github.com/anitarau/simcol and
 https://rdr.ucl.ac.uk/articles/dataset/24077763.
 """
 

@@ -2,7 +2,7 @@
 
 Rows of ``groundtruth.txt`` are ``timestamp tx ty tz qx qy qz qw``: seconds, meters, camera to
 world, separated by one space. Depth is a 16-bit PNG of z; 5,000 is one meter by convention, i.e.
-0.2 mm a step. Source: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats.
+0.2 mm per step. Source: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats.
 """
 
 from __future__ import annotations

@@ -75,7 +75,7 @@ class _Rule:
 
     Attributes:
         start: Start time [s].
-        clock: Cycle of the migrating motor complex; None where none passes.
+        clock: Cycle of the migrating motor complex; None without one.
         is_awake: Whether the muscle contracts.
     """
 

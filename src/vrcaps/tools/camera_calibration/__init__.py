@@ -1,7 +1,4 @@
-"""Camera calibration from photographs of a chessboard: corners, fit, report.
-
-The names in `__init__.pyi` are loaded when they are first used.
-"""
+"""Camera calibration from photographs of a chessboard: corners, fit, report."""
 
 import lazy_loader
 

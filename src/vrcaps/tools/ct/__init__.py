@@ -3,8 +3,6 @@
 `read_volume` and `read_dicom` read scans. `lumen` segments the gas, `cleansing` handles tagged
 fluid, `collapse_bridging` collapsed stretches. `fraction` measures partial volume, `surface`
 extracts the wall, `from_ct` builds the organ.
-
-The names in `__init__.pyi` are loaded when they are first used.
 """
 
 import lazy_loader

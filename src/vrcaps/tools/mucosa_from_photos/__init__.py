@@ -1,7 +1,4 @@
-"""Mucosa textures from a user's own endoscopic photographs.
-
-The names in `__init__.pyi` are loaded when they are first used.
-"""
+"""Mucosa textures from a user's own endoscopic photographs."""
 
 import lazy_loader
 

@@ -1,7 +1,4 @@
-"""Photometric camera calibration from frames: circle, vignetting, color, noise, compression.
-
-The names in `__init__.pyi` are loaded when they are first used.
-"""
+"""Photometric camera calibration from frames: circle, vignetting, color, noise, compression."""
 
 import lazy_loader
 

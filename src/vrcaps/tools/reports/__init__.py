@@ -1,7 +1,4 @@
-"""Reports: overview of an organ, coverage of an episode, policy evaluations and data sets.
-
-The names in `__init__.pyi` are loaded when they are first used.
-"""
+"""Reports: overview of an organ, coverage of an episode, policy evaluations and data sets."""
 
 import lazy_loader
 

@@ -90,7 +90,7 @@ def test_what_is_no_magnet_at_all():
         MagnetSteering(magnet="big")
     with pytest.raises(InputError, match=r"Cannot read the magnet file no/mine\.toml"):
         MagnetActuation(magnet="no/mine.toml")
-    with pytest.raises(InputError, match=r"diameter is a\. Allowed: above 0 to 1 m"):
+    with pytest.raises(InputError, match=r"diameter is 'a'\. Allowed: a number, above 0 to 1 m"):
         Cylinder("a", 0.05, 1.0)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"remanence is 3\.0\. Allowed: above 0 to 2 T"):
         Cylinder(0.05, 0.05, 3.0)

@@ -165,6 +165,24 @@ def test_core_agrees_with_its_twin():
     assert np.allclose(ours, theirs, atol=5e-3)
 
 
+def test_flocs_that_rays_cannot_resolve_fade_to_their_mean():
+    rays = camera_rays(read_device("mirocam").cameras[0]).astype(np.float32)
+    lit = np.isfinite(rays).all(axis=-1)
+
+    def contrast(size: float, extinction: float = 20.0, **kind) -> tuple[float, float]:
+        clear = _immersed(rays=rays, flocs=(extinction, size), distance=40e-3, **kind)[0][1, lit]
+        depth = -np.log(clear)
+        return float(depth.mean()), float(depth.std())
+
+    mean, spread = contrast(0.2e-3)
+    # Light passes the fluid twice; the LED is at the camera.
+    assert mean == pytest.approx(2.0 * 20.0 * twin_medium.MEAN_FLOCS * 36e-3, rel=0.02)
+    assert spread < 0.02 * mean
+    coarse_mean, coarse_spread = contrast(8e-3)
+    assert coarse_mean == pytest.approx(mean, rel=0.5)
+    assert coarse_spread > 0.5 * coarse_mean
+
+
 def test_noise_has_the_stated_deviation():
     points = np.random.default_rng(0).uniform(-50.0, 50.0, (20_000, 3))
     noise = twin_medium.fractal(points, 5)

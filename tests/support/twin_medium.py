@@ -46,8 +46,17 @@ def fractal(point: np.ndarray, seed: int) -> np.ndarray:
     return total / _SCALE
 
 
-def density(medium: Mapping[str, Any], point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Density relative to the mean, and extinction by flocs [1/m], at points [n 3]."""
+MEAN_FLOCS = 0.0163
+"""Extinction by flocs averaged over space, relative to that inside them."""
+
+
+def density(
+    medium: Mapping[str, Any], point: np.ndarray, between: np.ndarray | float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Density relative to the mean, and extinction by flocs [1/m], at points [n 3].
+
+    Flocs fade to their mean where rays are as far apart, `between`, as they are.
+    """
     (spread, size), (extinction, apart) = medium["clouds"], medium["flocs"]
     clouds, flocs = np.ones(point.shape[:-1]), np.zeros(point.shape[:-1])
     if spread > 0.0:
@@ -56,7 +65,8 @@ def density(medium: Mapping[str, Any], point: np.ndarray) -> tuple[np.ndarray, n
         clouds = np.exp(spread * noise - 0.5 * spread**2)
     if extinction > 0.0:
         t = np.clip((fractal(point / apart, medium["seed"] ^ 0x9E3779B9) - 1.2) / 0.6, 0.0, 1.0)
-        flocs = extinction * t * t * (3.0 - 2.0 * t)
+        resolved = np.clip((apart - between) / np.maximum(1.5 * between, 1e-9), 0.0, 1.0)
+        flocs = extinction * (MEAN_FLOCS + resolved * (t * t * (3.0 - 2.0 * t) - MEAN_FLOCS))
     return clouds, flocs
 
 
@@ -78,8 +88,8 @@ def _node(leds, point, ratio_of, depth, veil, scattered):
     return np.concatenate([veil, np.exp(-depth), led, scattered[:, None]], axis=-1)
 
 
-def integrals(rays, start, farthest, pose, leds, medium):
-    """Numbers of all nodes [n slices+1 10] along rays [n 3]."""
+def integrals(rays, start, farthest, pose, leds, medium, cell=0.0):
+    """Values of all nodes [n slices+1 10] along rays [n 3] with an angle `cell` between them."""
     absorption, scattering, orders, color = (
         np.array(medium[k]) for k in ("absorption", "scattering", "orders", "floc_color")
     )
@@ -98,7 +108,8 @@ def integrals(rays, start, farthest, pose, leds, medium):
         to = start + length * part**2
         step, middle = (to - at)[:, None], 0.5 * (at + to)
         point = rays * middle[:, None]
-        cloud, floc = (x[:, None] for x in density(medium, point @ pose[:3, :3].T + pose[:3, 3]))
+        fixed = point @ pose[:3, :3].T + pose[:3, 3]
+        cloud, floc = (x[:, None] for x in density(medium, fixed, cell * middle))
         back = cloud * (1.0 - g) * scattering + floc * color
         gone = cloud * (absorption + (1.0 - g) * scattering) + floc
         halfway = depth + 0.5 * step * gone
@@ -138,7 +149,10 @@ def immerse(planes, rays, distance, start, pose, leds, medium):
     is_lit = np.isfinite(node_rays).all(axis=-1)
     nodes = np.zeros((*is_lit.shape, _SLICES + 1, 10))
     node_start = start[np.ix_(rows, columns)][is_lit].astype(float)
-    nodes[is_lit] = integrals(node_rays[is_lit], node_start, farthest, pose, leds, medium)
+    middle, right = height // 2, width // 2
+    apart = rays[middle, right] - rays[middle, right + min(grid, width - 1 - right)].astype(float)
+    cell = float(np.nan_to_num(np.linalg.norm(apart)))
+    nodes[is_lit] = integrals(node_rays[is_lit], node_start, farthest, pose, leds, medium, cell)
     y, x = np.mgrid[:height, :width]
     known_distance = np.where(np.isfinite(distance), distance, _FARTHEST)
     along = np.clip((known_distance - start) / np.maximum(farthest - start, 1e-6), 0.0, 1.0)

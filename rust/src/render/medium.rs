@@ -35,6 +35,9 @@ const TURN: [Vec3; 3] = [
 /// Maximum distance from which light returns [m].
 const FARTHEST: f32 = 0.1;
 
+/// Extinction by flocs averaged over space, relative to that inside them.
+const MEAN_FLOCS: f32 = 0.0163;
+
 /// Values of a node of the grid: backscattered light [3], transmittance of the camera's path [3]
 /// and of the LEDs' paths [3], and optical depth of scattering.
 const VALUES: usize = 10;
@@ -154,10 +157,11 @@ impl Grid {
         let (height, width) = rig.size;
         let step = height.max(width).div_ceil(RAYS);
         let (rows, columns) = (height.div_ceil(step) + 1, width.div_ceil(step) + 1);
+        let cell = rig.angle(step);
         let rays = (0..rows * columns).into_par_iter().map(|k| {
             let (y, x) =
                 ((k / columns * step).min(height - 1), (k % columns * step).min(width - 1));
-            rig.ray(y * width + x).map(|(ray, start)| medium.integrate(rig, ray, start))
+            rig.ray(y * width + x).map(|(ray, start)| medium.integrate(rig, (ray, start), cell))
         });
         Grid { step, columns, rays: rays.collect() }
     }
@@ -202,6 +206,15 @@ impl Rig<'_> {
         ray.iter().all(|x| x.is_finite()).then(|| (ray, self.start[pixel]))
     }
 
+    /// Angle between rays some pixels apart in the middle of the image [rad]; 0 if it is narrower.
+    fn angle(&self, step: usize) -> f32 {
+        let (height, width) = self.size;
+        let middle = height / 2 * width + width / 2;
+        let next = middle + step.min(width - 1 - width / 2);
+        let apart = self.ray(middle).zip(self.ray(next)).map(|(one, other)| sub(one.0, other.0));
+        apart.map_or(0.0, |apart| dot(apart, apart).sqrt())
+    }
+
     /// A point in the frame to which the clouds are fixed [m].
     fn fixed(&self, point: Vec3) -> Vec3 {
         [0, 4, 8].map(|k| {
@@ -214,8 +227,14 @@ impl Rig<'_> {
 }
 
 impl Medium {
-    /// Integrals along a ray from the distance at which it leaves the capsule.
-    fn integrate(&self, rig: &Rig<'_>, ray: Vec3, start: f32) -> Box<[Node; SLICES + 1]> {
+    /// Integrals along a ray from the distance at which it leaves the capsule, given the angle to
+    /// the next ray.
+    fn integrate(
+        &self,
+        rig: &Rig<'_>,
+        (ray, start): (Vec3, f32),
+        cell: f32,
+    ) -> Box<[Node; SLICES + 1]> {
         let mut out = Box::new([[0.0; VALUES]; SLICES + 1]);
         // Optical depths: of transport by color, and of scattering.
         let (mut depth, mut scattered, mut veil) = ([0.0f32; 3], 0.0f32, [0.0f32; 3]);
@@ -237,7 +256,7 @@ impl Medium {
             let part = (slice + 1) as f32 / SLICES as f32;
             let to = start + length * part * part;
             let (step, middle) = (to - from, 0.5 * (from + to));
-            let (density, flocs) = self.density(rig.fixed(ray.map(|x| x * middle)));
+            let (density, flocs) = self.density(rig.fixed(ray.map(|x| x * middle)), cell * middle);
             let back: Vec3 = std::array::from_fn(|k| {
                 density * (1.0 - self.anisotropy) * self.scattering[k] + flocs * self.floc_color[k]
             });
@@ -301,8 +320,10 @@ impl Medium {
         sum
     }
 
-    /// Density relative to the mean, and extinction by flocs [1/m].
-    fn density(&self, point: Vec3) -> (f32, f32) {
+    /// Density relative to the mean, and extinction by flocs [1/m], given the distance to the next
+    /// ray [m]. Flocs fade to their mean where they are as far apart as rays, which would show them
+    /// as blocks.
+    fn density(&self, point: Vec3, apart: f32) -> (f32, f32) {
         let (spread, size) = self.clouds;
         let mut density = 1.0;
         if spread > 0.0 {
@@ -316,7 +337,9 @@ impl Medium {
         if extinction > 0.0 {
             let noise = fractal(point.map(|x| x / size), self.seed ^ 0x9e37_79b9);
             let t = ((noise - 1.2) / 0.6).clamp(0.0, 1.0);
-            flocs = extinction * t * t * (3.0 - 2.0 * t);
+            let resolved = ((size - apart) / (1.5 * apart).max(1e-9)).clamp(0.0, 1.0);
+            let floc = t * t * (3.0 - 2.0 * t);
+            flocs = extinction * (MEAN_FLOCS + resolved * (floc - MEAN_FLOCS));
         }
         (density, flocs)
     }

@@ -67,11 +67,11 @@ class Bubbles:
     landing_rate: Annotated[float, Range(min=0.0)] = 2.0
     release_rate: Annotated[float, Range(min=0.0)] = 0.05
     ior: Annotated[float, Range(above=1.0, below=3.0)] = 1.333
-    border: Annotated[float, Range(above=0.0, below=1.0)] = 0.16
+    border: Annotated[float, Range(above=0.0, below=1.0)] = 0.25
     gleam: Annotated[float, Range(0.0, 1.0)] = 0.95
     stain: tuple[float, float, float] = (0.0, 0.03, 0.1)
-    meniscus: Annotated[float, Range(above=0.0, unit="m")] = 0.35 * MM
-    shade: Annotated[float, Range(0.0, 1.0)] = 0.65
+    meniscus: Annotated[float, Range(above=0.0, unit="m")] = 0.15 * MM
+    shade: Annotated[float, Range(0.0, 1.0)] = 0.75
     ripple: Annotated[float, Range(0.0, 0.5)] = 0.2
     roughness: Annotated[float, Range(above=0.0, max=1.0)] = 0.005
     color: tuple[float, float, float] = (0.5, 0.34, 0.2)

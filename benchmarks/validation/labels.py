@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.common.scripts import DATA, options, table, write_section
 from vrcaps.camera.camera import Camera, camera_rays, pixel_grid, project_points, unproject_pixels
-from vrcaps.config.fields import path_of
+from vrcaps.core.fields import path_of
 from vrcaps.core.geometry import invert, rotate_vectors, transform_points
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.motion.fly_through import FlyThrough

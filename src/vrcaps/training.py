@@ -11,10 +11,10 @@ from typing import Annotated, Any, Protocol, TypeVar, cast, get_args, get_type_h
 
 from vrcaps import __version__
 from vrcaps.config.convert import classes_by_kind, from_plain
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.build_info import core_sha256, versions
 from vrcaps.core.errors import InputError, UnknownNameError, import_extra
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import is_new_folder, write_json
 
 

@@ -14,8 +14,8 @@ import pytest
 from vrcaps import cli
 from vrcaps.cli.episodes import Check
 from vrcaps.cli.record import Record, _free_folder
-from vrcaps.config.fields import FileRef
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import FileRef
 from vrcaps.lumen.preparation import prepared
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough

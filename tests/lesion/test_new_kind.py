@@ -50,7 +50,7 @@ def test_its_settings_follow_from_its_fields(run):
 PLUGIN = """
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
-from vrcaps.config.fields import Range
+from vrcaps.core.fields import Range
 from vrcaps.lesion import Lesion
 
 @dataclass(frozen=True, kw_only=True)

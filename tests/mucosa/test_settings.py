@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from vrcaps.config.convert import from_plain, to_plain
-from vrcaps.config.fields import with_checksums
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import with_checksums
 from vrcaps.mucosa.mucosa import MUCOSAE, MucosaSettings
 from vrcaps.scenario.scenario import OrganGenerated
 from vrcaps.scenario.settings import settings

@@ -7,8 +7,8 @@ import pytest
 
 from vrcaps.camera_pipeline.effects import Effects, parse_effects
 from vrcaps.capsule.device_file import read_device
-from vrcaps.config.fields import FileRef
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.fields import FileRef
 from vrcaps.lesion import Location, Polyp
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.replay import Replay

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 
 from vrcaps.config.convert import from_plain
-from vrcaps.config.fields import FileRef, Range, check_fields, file_ref, path_of
 from vrcaps.config.plain_files import CatalogFolder, read_plain
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.fields import FileRef, Range, check_fields, file_ref, path_of
 from vrcaps.core.names import inside
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.field_map import read_field_map

@@ -24,8 +24,8 @@ from vrcaps.actuation.steering_program import (
     JoystickCommand,
     check_joystick,
 )
-from vrcaps.config.fields import FileRef, Range, check_fields, file_ref, path_of
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import FileRef, Range, check_fields, file_ref, path_of
 from vrcaps.core.units import CM
 from vrcaps.world.control import Control
 from vrcaps.world.schedule import read_numbers, require_series, row_at

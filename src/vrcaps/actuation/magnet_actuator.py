@@ -12,8 +12,8 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.actuation.arm.arm_with_payload import ArmWithPayload, magnet_pose_at, solve_joint_angles
 from vrcaps.actuation.magnet_pose_solver import Workspace
-from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.fields import check_fields
 from vrcaps.core.geometry import clamp_norm, length, rotate_by_vector, vector_from_rotation
 from vrcaps.magnet.sources import check_pose
 

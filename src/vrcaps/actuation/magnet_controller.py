@@ -13,8 +13,8 @@ from vrcaps import _core
 from vrcaps.actuation.capsule_target import CapsuleTarget
 from vrcaps.actuation.magnet_actuator import ActuatorState, MagnetActuator
 from vrcaps.actuation.magnet_pose_solver import MagnetPoseSolver, WrenchTarget
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.geometry import clamp_norm, detour, length, rotate_by_vector
 from vrcaps.core.units import CM, DEG, MM
 from vrcaps.magnet.field import SourceSet

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.fields import check_fields
 from vrcaps.core.units import CM
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.sources import MAGNETIC_CONSTANT, InternalMagnet, magnet_pose, magnet_rows

@@ -18,8 +18,8 @@ from vrcaps.actuation.magnet_actuator import FreeActuator, MagnetActuator, Robot
 from vrcaps.actuation.magnet_controller import CapsuleView, ControllerGains, MagnetController
 from vrcaps.actuation.magnet_pose_solver import Workspace
 from vrcaps.actuation.wall_path import PathFollower, WallPath, centerline_wall_path
-from vrcaps.config.fields import FileRef, Range, check_fields, file_ref, path_of
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.fields import FileRef, Range, check_fields, file_ref, path_of
 from vrcaps.core.units import CM, DEG, MM
 from vrcaps.magnet.presets import magnet_of, read_magnet
 from vrcaps.magnet.sources import Block, Cylinder, Magnet, Ring, Sphere

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import numpy as np
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.units import MM
 
 Triple = tuple[float, float, float]

@@ -13,8 +13,8 @@ from dataclasses import asdict, dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields
 
 MAX_COMMAND = 8192
 """Maximum length of a command [characters]."""

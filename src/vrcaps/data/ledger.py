@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from vrcaps.config.convert import from_plain
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.build_info import made_here
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import file_sha256, files_in
 from vrcaps.core.names import require_name
 from vrcaps.data.plan import Plan, plan_to_plain

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError, UnknownNameError, import_extra, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.geometry import invert
 from vrcaps.recording.frame_sequence import CAMERA_POSE, FrameSequence
 

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from vrcaps.config.convert import from_plain, to_plain
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.config.plain_files import as_floats, read_plain
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.data.distribution import slots
 
 PATIENT_SLOTS = ("organ", "lesions")

@@ -21,9 +21,9 @@ from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Protocol, TypeVar
 
 from vrcaps.config.convert import from_plain
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.errors import InputError, StorageError, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import remove_stale, sync_folder, temporary_beside
 from vrcaps.core.names import regular
 from vrcaps.core.processes import FolderInUseError, file_lock

@@ -20,8 +20,8 @@ from vrcaps.actuation.arm.arm_with_payload import (
 from vrcaps.actuation.magnet_actuator import RobotActuator
 from vrcaps.actuation.magnet_pose_solver import MagnetPoseSolver, Workspace, WrenchTarget
 from vrcaps.actuation.steering_program import BASE_BELOW, base_beside, workspace_above
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.geometry import rotation_from_vector
 from vrcaps.core.units import CM
 from vrcaps.env.parts import Actuation, EnvView

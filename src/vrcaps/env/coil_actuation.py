@@ -17,7 +17,7 @@ from vrcaps.actuation.coil_array import (
     read_coil_array,
 )
 from vrcaps.actuation.coil_program import array_pose
-from vrcaps.config.fields import Range, check_fields
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.units import CM
 from vrcaps.env.parts import Actuation, EnvView
 from vrcaps.world.control import Control

@@ -17,7 +17,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.camera.camera import camera_rays
-from vrcaps.config.fields import Range, check_fields
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.geometry import rotate_vectors, unit
 from vrcaps.core.units import CM, MM
 from vrcaps.env.cameras import distance_noise, resized_camera

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.config.fields import Range, check_fields
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.geometry import rotate_vectors, transform_points
 from vrcaps.core.units import CM, MM
 from vrcaps.env.parts import EnvView, Observation

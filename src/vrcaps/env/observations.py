@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import UnknownNameError, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.units import CM, MM
 from vrcaps.env.cameras import DISTANCES, View, distance_noise
 from vrcaps.env.parts import EnvView, Observation

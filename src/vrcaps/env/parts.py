@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from vrcaps.config.convert import register_family
-from vrcaps.config.fields import Range, check_fields
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.registry import Registry
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ import numpy as np
 
 from vrcaps.camera.derive import scaled_lens
 from vrcaps.camera_pipeline.effects import Effects, parse_effects
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.motion.trajectory import start_pose
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.tissue import SpringWall

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal, get_type_hints
 from vrcaps.capsule.device import Device
 from vrcaps.capsule.device_file import device_of
 from vrcaps.config.convert import from_plain, to_plain
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, UnknownNameError, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.registry import Registry
 from vrcaps.env.actuation import Wrench
 from vrcaps.env.observations import StateObservation

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, UnknownNameError, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.units import CM
 from vrcaps.env.actuation import MagnetActuation
 from vrcaps.env.parts import EnvView, Reward, Task

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.env.observations import ImageObservation
 
 if TYPE_CHECKING:

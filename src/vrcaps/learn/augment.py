@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import numpy as np
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.color import linear_from_srgb, luminance, srgb_from_linear
 from vrcaps.core.errors import UnknownNameError, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.units import MM
 from vrcaps.learn.picture_border import tissue_of

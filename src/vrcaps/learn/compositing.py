@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import numpy as np
 import scipy
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.color import linear_from_srgb, srgb_from_linear
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import atomic_folder
 from vrcaps.core.geometry import smoothstep
 from vrcaps.learn.augment import (

@@ -14,9 +14,9 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.derive import scaled_lens
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.color import linear_from_srgb, srgb_from_linear
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.recording.frame_sequence import EXPOSURE, FrameSequence
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 from vrcaps.config.convert import from_plain
-from vrcaps.config.fields import Range, check_fields
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.learn.registry import FORMER_TASKS, TASKS, current_settings
 from vrcaps.learn.task import Task
 from vrcaps.training import changed_settings, preset_named

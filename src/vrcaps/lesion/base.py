@@ -25,8 +25,8 @@ from typing import (
 import numpy as np
 
 from vrcaps.config.convert import register_family
-from vrcaps.config.fields import Range, check_fields, range_of
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields, range_of
 from vrcaps.core.registry import Registry
 from vrcaps.core.units import DEG, MM, parse_length
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.config.fields import Range
 from vrcaps.core.color import mix
+from vrcaps.core.fields import Range
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.units import MM
 from vrcaps.lesion.base import AppearanceSample, LesionSite, Setting, SizedLesion, WallSamples

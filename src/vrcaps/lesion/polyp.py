@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.config.fields import Range
 from vrcaps.core.color import mix
+from vrcaps.core.fields import Range
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.units import MM
 from vrcaps.lesion.base import AppearanceSample, Lesion, LesionSite, SizedLesion, WallSamples

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.config.fields import Range
 from vrcaps.core.color import mix
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.units import CM, MM
 from vrcaps.lesion.base import AppearanceSample, Lesion, LesionSite, SizedLesion, WallSamples

@@ -9,8 +9,8 @@ from typing import Annotated, TypeVar
 
 import numpy as np
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.rng import drawn_along
 from vrcaps.core.units import MM
 

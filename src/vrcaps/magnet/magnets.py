@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 
 from vrcaps.config.convert import from_plain, register_shorthand
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.config.plain_files import stored_fields
 from vrcaps.core.errors import InputError, UnknownNameError, import_extra, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.magnet.pose import check_pose
 
 if TYPE_CHECKING:

@@ -30,9 +30,9 @@ from vrcaps.camera.camera import (
     project_points,
     unproject_pixels,
 )
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.color import LUMA_WEIGHTS
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.geometry import invert, transform_points
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ import numpy as np
 
 from vrcaps.actuation.coil_program import CoilSteering, coil_column_names, coil_row
 from vrcaps.actuation.steering_program import MagnetSteering
-from vrcaps.config.fields import FileRef, check_fields, file_ref
 from vrcaps.core.errors import InputError, UnknownNameError, require
+from vrcaps.core.fields import FileRef, check_fields, file_ref
 from vrcaps.core.geometry import quaternion_from_matrix
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.motion import MotionSettings

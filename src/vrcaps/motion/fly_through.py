@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.geometry import transform_points, velocities_between
 from vrcaps.core.rng import stream
 from vrcaps.core.units import MM

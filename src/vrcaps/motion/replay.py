@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.config.fields import FileRef, check_fields, file_ref, path_of
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.fields import FileRef, check_fields, file_ref, path_of
 from vrcaps.core.geometry import (
     invert,
     matrix_from_quaternion,

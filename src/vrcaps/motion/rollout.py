@@ -11,8 +11,8 @@ import numpy as np
 
 from vrcaps.actuation.coil_program import CoilProgram
 from vrcaps.actuation.steering_program import SteeringProgram
-from vrcaps.config.fields import path_of
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import path_of
 from vrcaps.core.geometry import (
     invert,
     rotate_vectors,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from vrcaps.config.fields import FileRef, Range, check_fields
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.fields import FileRef, Range, check_fields
 from vrcaps.core.units import MM
 from vrcaps.organ.segments import find_mucosa
 

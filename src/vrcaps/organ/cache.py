@@ -28,7 +28,7 @@ _MAKERS = ("core", "mesh", "organ", "mucosa", "anatomy", "lesion")
 """Packages whose code determines an organ."""
 
 _MAKER_MODULES = (
-    *("config/convert", "config/fields", "config/plain_files"),
+    *("config/convert", "core/fields", "config/plain_files"),
     "scenario/build",
 )
 """Other modules used by them, and their caller."""

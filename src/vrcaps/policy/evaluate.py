@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from vrcaps import __version__
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, StorageError, import_extra, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import atomic_folder
 from vrcaps.core.geometry import quaternion_from_matrix
 from vrcaps.core.names import require_dataset_id

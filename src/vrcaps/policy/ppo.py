@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.errors import MissingExtraError, import_extra, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.env.settings import EnvSettings
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.policy.mlp_policy import MlpPolicy, Normalizer, kept_settings

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from vrcaps.config.convert import to_plain
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import file_sha256, read_arrays, write_arrays, write_csv
 from vrcaps.env.actuation import MagnetActuation, Wrench
 from vrcaps.env.exploration import ExplorationObservation

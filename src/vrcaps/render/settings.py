@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import InputError, UnknownNameError, require
+from vrcaps.core.fields import check_fields
 
 MAX_FILM_UM = 1000.0
 """Maximum thickness of a mucus film [µm]; thicker liquid is a pool."""

@@ -10,8 +10,8 @@ import numpy as np
 
 from vrcaps.capsule.device import Device
 from vrcaps.config.convert import to_plain
-from vrcaps.config.fields import path_of, with_checksums
 from vrcaps.core.errors import InputError, require_extra
+from vrcaps.core.fields import path_of, with_checksums
 from vrcaps.core.units import LENGTH_UNITS
 from vrcaps.lesion import Lesion, add_lesions, lesion_rng
 from vrcaps.lesion.placement import require_possible

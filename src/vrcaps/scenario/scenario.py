@@ -11,9 +11,9 @@ from vrcaps.camera_pipeline.effects import Effects, parse_effects
 from vrcaps.capsule.device import Device
 from vrcaps.capsule.device_file import device_of
 from vrcaps.config.convert import from_plain, to_plain
-from vrcaps.config.fields import FileRef, Range, check_fields, file_ref
 from vrcaps.config.plain_files import read_plain
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.fields import FileRef, Range, check_fields, file_ref
 from vrcaps.core.rng import stream
 from vrcaps.core.units import parse_length
 from vrcaps.lesion import Lesion, draw_lesions, parse_lesion

@@ -10,8 +10,8 @@ from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from vrcaps.config.convert import classes_by_kind
-from vrcaps.config.fields import Range, range_of
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, range_of
 from vrcaps.scenario.scenario import Scenario
 
 _TYPE_NAMES = {bool: "true or false", int: "int", float: "float", str: "text"}
@@ -132,7 +132,7 @@ def _tables(declared: Any) -> list[type]:
     return [cls for cls in classes if cls.__module__ not in _NO_SETTINGS]
 
 
-_NO_SETTINGS = {"vrcaps.capsule.device", "vrcaps.config.fields"}
+_NO_SETTINGS = {"vrcaps.capsule.device", "vrcaps.core.fields"}
 """Modules whose tables are stored in separate files or as a path."""
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from vrcaps.config.fields import Range, check_fields
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.geometry import transform_from
 from vrcaps.core.units import DEG, MM
 from vrcaps.sensors.hall import HallArray, hall_grid

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.geometry import rotate_by_vector, rotation_vector
 from vrcaps.core.rng import stream
 from vrcaps.core.units import DEG, MM

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import UnknownNameError, require
+from vrcaps.core.fields import check_fields
 from vrcaps.core.units import MM
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.motility.motility import Motility

@@ -23,7 +23,7 @@ minari = pytest.importorskip("minari")
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
     """A drive by joystick, recorded again from its commands."""
-    from vrcaps.config.fields import FileRef
+    from vrcaps.core.fields import FileRef
 
     folder = tmp_path_factory.mktemp("drive")
     (folder / "commands.csv").write_text(

@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.magnet.pose import check_pose
 
 Vector = tuple[float, float, float]

@@ -12,8 +12,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from vrcaps.actuation.arm.chain import Arm, Joint, Link, LinkMass
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, import_extra, reading, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.geometry import transform_points
 from vrcaps.core.names import inside
 from vrcaps.magnet.pose import magnet_pose

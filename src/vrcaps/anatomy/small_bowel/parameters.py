@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
-from vrcaps.config.fields import Range, check_fields
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.rng import truncated_normal
 from vrcaps.core.units import CM, MM
 from vrcaps.organ.segments import SMALL_BOWEL, at_distension

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Annotated
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.rng import truncated_normal
 from vrcaps.core.units import MM
 from vrcaps.organ.segments import STOMACH, at_distension

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
-from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import check_fields
 
 if TYPE_CHECKING:
     import numpy as np

@@ -20,8 +20,8 @@ from vrcaps.camera_pipeline.effect.optics import (
     pupil_disk_radius,
     unflatten,
 )
-from vrcaps.config.fields import Range
 from vrcaps.core.errors import require
+from vrcaps.core.fields import Range
 from vrcaps.core.geometry import unit
 from vrcaps.core.units import DEG, MM
 

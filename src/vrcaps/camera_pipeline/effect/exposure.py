@@ -17,8 +17,8 @@ from vrcaps.camera_pipeline.effect.base import (
     Stage,
     TimingEffect,
 )
-from vrcaps.config.fields import Range
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.fields import Range
 from vrcaps.core.rng import normal_along
 from vrcaps.core.units import MM
 

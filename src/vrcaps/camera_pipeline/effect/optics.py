@@ -26,8 +26,8 @@ from vrcaps.camera_pipeline.effect.base import (
     ImageEffect,
     Stage,
 )
-from vrcaps.config.fields import Range
 from vrcaps.core.errors import require
+from vrcaps.core.fields import Range
 from vrcaps.core.geometry import unit
 from vrcaps.core.rng import stream
 from vrcaps.core.units import MM

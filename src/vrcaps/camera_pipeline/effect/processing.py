@@ -12,9 +12,9 @@ from typing import Annotated
 import numpy as np
 
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
-from vrcaps.config.fields import Range
 from vrcaps.core.color import LUMINANCE
 from vrcaps.core.errors import require
+from vrcaps.core.fields import Range
 
 Triple = tuple[float, float, float]
 Matrix = tuple[Triple, Triple, Triple]

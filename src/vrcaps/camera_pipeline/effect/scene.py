@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
 from vrcaps.camera_pipeline.effect.base import SceneEffect
-from vrcaps.config.fields import Range
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range
 from vrcaps.lumen.contents import Bubbles
 
 if TYPE_CHECKING:

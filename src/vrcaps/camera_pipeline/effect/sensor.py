@@ -10,8 +10,8 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.camera.derive import scaled_camera
 from vrcaps.camera_pipeline.effect.base import CameraEffect, CameraSetup, ImageEffect
-from vrcaps.config.fields import Range
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.fields import Range
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -14,8 +14,8 @@ from vrcaps.actuation.steering_program import JoystickCommand, MagnetSteering
 from vrcaps.camera_pipeline.effect.base import ImageEffect
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES
 from vrcaps.capsule.device_file import device_names, read_device
-from vrcaps.config.fields import FileRef, path_of
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import FileRef, path_of
 from vrcaps.core.files import is_new_folder, remove_stale, write_bytes, write_json
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.organ.segments import ORGANS

@@ -22,9 +22,9 @@ import numpy as np
 
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.camera.lens.exchange import camera_matrix
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.config.plain_files import read_plain
 from vrcaps.core.errors import InputError, narrow
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import write_bytes, write_json
 from vrcaps.core.geometry import invert, transform_from
 from vrcaps.core.units import MM

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.config.plain_files import read_plain
 from vrcaps.core.errors import InputError, UnknownNameError, narrow
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import write_bytes
 from vrcaps.core.names import inside, listed
 from vrcaps.formats.detection.masks import mask_of, outlines, run_lengths

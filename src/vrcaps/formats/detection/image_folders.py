@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, narrow
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import write_bytes
 from vrcaps.core.names import inside, listed
 from vrcaps.formats.format import Needs, require_channels

@@ -23,8 +23,8 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import InputError, import_extra, reading
+from vrcaps.core.fields import check_fields
 from vrcaps.core.files import atomic_write, write_bytes
 from vrcaps.core.names import listed
 from vrcaps.core.units import DM

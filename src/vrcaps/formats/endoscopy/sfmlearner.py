@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import write_bytes
 from vrcaps.core.geometry import transform_from
 from vrcaps.core.names import listed

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import narrow
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import write_bytes
 from vrcaps.core.names import listed
 from vrcaps.core.units import CM

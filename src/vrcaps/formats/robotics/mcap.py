@@ -24,9 +24,9 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.camera.lens.exchange import OPENCV_LENSES
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.errors import InputError, import_extra, reading
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import MAX_BYTES
 from vrcaps.core.geometry import matrix_from_unit_quaternion, transform_from
 from vrcaps.core.names import inside, listed

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from vrcaps import __version__
-from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import InputError, import_extra
+from vrcaps.core.fields import check_fields
 from vrcaps.core.names import is_dataset_id, require_dataset_id
 from vrcaps.formats.format import Needs, require_channels
 from vrcaps.formats.robotics.lerobot_tables import Rows, action_rows, state_rows, task_of

@@ -28,8 +28,8 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens.exchange import DISTORTIONS, OPENCV_LENSES, OpenCvLens
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import write_bytes
 from vrcaps.core.names import inside, listed
 from vrcaps.formats.format import Needs

@@ -24,9 +24,9 @@ from vrcaps.camera.lens.exchange import (
     colmap_model,
     lens_from_colmap,
 )
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import write_bytes
 from vrcaps.core.geometry import (
     invert,

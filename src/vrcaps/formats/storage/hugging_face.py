@@ -16,9 +16,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.config.plain_files import front_matter, size_category
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import write_bytes
 from vrcaps.core.names import listed
 from vrcaps.formats.format import Needs

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError, reading
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import atomic_write
 from vrcaps.core.names import listed
 from vrcaps.formats.format import Needs

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, cast
 import numpy as np
 from torch import Tensor, nn
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.learn.augment import Augmentation, random_flip
 from vrcaps.learn.baselines import class_baselines
 from vrcaps.learn.networks import Backbone, classifier

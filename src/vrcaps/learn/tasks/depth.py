@@ -24,9 +24,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.color import linear_from_srgb, srgb_from_linear, turbo
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.learn.augment import Augmentation, flip, transpose
 from vrcaps.learn.baselines import log_depth_baselines
 from vrcaps.learn.networks import Backbone, UNet

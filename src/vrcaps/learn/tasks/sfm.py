@@ -32,8 +32,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.geometry import invert
 from vrcaps.formats.slam.tum import trajectory_text
 from vrcaps.learn.augment import with_gain

@@ -22,8 +22,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.learn.augment import random_flip, with_gain
 from vrcaps.learn.baselines import upsampling_baselines
 from vrcaps.learn.losses import (

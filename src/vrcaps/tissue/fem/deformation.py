@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import InputError, UnknownNameError, require
+from vrcaps.core.fields import check_fields
 from vrcaps.core.units import MM
 
 _MODELS = ("linear", "neo-hookean")

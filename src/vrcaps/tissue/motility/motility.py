@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import UnknownNameError, require
+from vrcaps.core.fields import check_fields
 from vrcaps.core.units import CM
 from vrcaps.tissue.motility.migrating_complex import ComplexStatistics, Front
 from vrcaps.tissue.motility.segment import SegmentMotility, segment_motilities

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from vrcaps.config.fields import check_fields
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.fields import check_fields
 from vrcaps.core.units import CM, MM
 from vrcaps.tools.ct.collapse_bridging import (
     CHANNEL_RADIUS,

@@ -286,7 +286,7 @@ def test_a_flat_wall_is_stitched_from_the_command_line(tmp_path, monkeypatch, ca
     corners = np.concatenate([ends, np.full((4, 1), DISTANCE)], axis=1)
     truth = Mesh(corners, np.array([[0, 2, 1], [0, 3, 2]]))
     sequence = replace(_sequence(), episode=SimpleNamespace(organ=truth))
-    monkeypatch.setattr("vrcaps.formats.io.read_source", lambda text: (sequence,))
+    monkeypatch.setattr("vrcaps.formats.io.read_source", lambda *_: (sequence,))
     source, out = tmp_path / "wall", tmp_path / "out"
     source.mkdir()
     flags = ["--method", "stitching", "--field-of-view-deg", "75", "--out", str(out)]

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from vrcaps.camera.camera import Camera, in_image, pixel_grid, project_points, unproject_pixels
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError, import_extra, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.geometry import invert, transform_points
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh

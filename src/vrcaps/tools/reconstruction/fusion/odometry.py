@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from vrcaps.camera.camera import Camera, pixel_grid, unproject_pixels
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.geometry import invert
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.tools.reconstruction.fusion.fuse import MIN_COSINE

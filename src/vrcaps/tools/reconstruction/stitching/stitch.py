@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from vrcaps.camera.camera import Camera, in_image, pixel_grid, project_points
-from vrcaps.config.fields import Range, check_fields
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.formats.rectify import rectified, widest_field
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.tools.reconstruction.matching import (

@@ -9,8 +9,8 @@ import pytest
 from vrcaps.actuation.magnet_actuator import FreeActuator
 from vrcaps.actuation.magnet_pose_solver import Workspace
 from vrcaps.camera_pipeline.effects import WhiteBalance
-from vrcaps.config.fields import FileRef, Range, check_fields, file_ref, path_of, with_checksums
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import FileRef, Range, check_fields, file_ref, path_of, with_checksums
 from vrcaps.learn.compositing import CompositeSettings
 from vrcaps.lesion import Polyp
 from vrcaps.lumen.contents import Bubbles, Chyme, Contents, Liquid

@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 _RAYS, _SLICES, _ORDERS, _OCTAVES = 40, 16, 5, 3
-_FARTHEST, _SCALE = 0.1, 0.322
+_FARTHEST, _SCALE, _OCTAVE_SCALE = 0.1, 0.322, 0.264
 _TURN = Rotation.from_rotvec(np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)).as_matrix()
 
 
@@ -27,26 +27,30 @@ def gradient(point: np.ndarray, seed: int) -> np.ndarray:
     return np.stack([(x >> np.uint32(shift)) & 1023 for shift in (0, 10, 20)], -1) / 511.5 - 1.0
 
 
+def noise(point: np.ndarray, seed: int) -> np.ndarray:
+    """Gradient noise at points [n 3]."""
+    cell = np.floor(point)
+    offset = point - cell
+    t = offset * offset * (3.0 - 2.0 * offset)
+    value = np.zeros(point.shape[:-1])
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.prod(np.where(np.array(corner) == 1, t, 1.0 - t), axis=-1)
+        slope = gradient((cell + corner).astype(np.int64), seed)
+        value += weight * (slope * (offset - corner)).sum(axis=-1)
+    return value
+
+
 def fractal(point: np.ndarray, seed: int) -> np.ndarray:
     """Sum of octaves of gradient noise at points [n 3]."""
     total, at, height = np.zeros(point.shape[:-1]), point, 1.0
     for octave in range(_OCTAVES):
         at = at @ _TURN.T
-        cell = np.floor(at)
-        offset = at - cell
-        t = offset * offset * (3.0 - 2.0 * offset)
-        value = np.zeros(point.shape[:-1])
-        for corner in np.ndindex(2, 2, 2):
-            weight = np.prod(np.where(np.array(corner) == 1, t, 1.0 - t), axis=-1)
-            own = (seed + octave * 0x632BE5AB) % 2**32
-            slope = gradient((cell + corner).astype(np.int64), own)
-            value += weight * (slope * (offset - corner)).sum(axis=-1)
-        total += height * value
+        total += height * noise(at, (seed + octave * 0x632BE5AB) % 2**32)
         at, height = 2.1 * at, height * 0.6
     return total / _SCALE
 
 
-MEAN_FLOCS = 0.0163
+MEAN_FLOCS = 0.016
 """Extinction by flocs averaged over space, relative to that inside them."""
 
 
@@ -55,17 +59,18 @@ def density(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Density relative to the mean, and extinction by flocs [1/m], at points [n 3].
 
-    Flocs fade to their mean where rays are as far apart, `between`, as they are.
+    Flocs fade to their mean where they are less than four rays, `between` apart, apart.
     """
     (spread, size), (extinction, apart) = medium["clouds"], medium["flocs"]
     clouds, flocs = np.ones(point.shape[:-1]), np.zeros(point.shape[:-1])
     if spread > 0.0:
         x, y, z = np.moveaxis(point, -1, 0)
-        noise = fractal(np.stack([x, y + 0.5 * z, 0.4 * z], axis=-1) / size, medium["seed"])
-        clouds = np.exp(spread * noise - 0.5 * spread**2)
+        wisps = fractal(np.stack([x, y + 0.5 * z, 0.4 * z], axis=-1) / size, medium["seed"])
+        clouds = np.exp(spread * wisps - 0.5 * spread**2)
     if extinction > 0.0:
-        t = np.clip((fractal(point / apart, medium["seed"] ^ 0x9E3779B9) - 1.2) / 0.6, 0.0, 1.0)
-        resolved = np.clip((apart - between) / np.maximum(1.5 * between, 1e-9), 0.0, 1.0)
+        flakes = noise(point / apart @ _TURN.T, medium["seed"] ^ 0x9E3779B9) / _OCTAVE_SCALE
+        t = np.clip((flakes - 1.2) / 0.6, 0.0, 1.0)
+        resolved = np.clip(0.5 * apart / np.maximum(between, 1e-9) - 1.0, 0.0, 1.0)
         flocs = extinction * (MEAN_FLOCS + resolved * (t * t * (3.0 - 2.0 * t) - MEAN_FLOCS))
     return clouds, flocs
 

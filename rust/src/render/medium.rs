@@ -26,6 +26,8 @@ const ORDERS: usize = 5;
 const OCTAVES: u32 = 3;
 /// Scale of three octaves of gradient noise, which gives a standard deviation of 0.69.
 const SCALE: f32 = 0.322;
+/// Scale of one octave for the same deviation.
+const OCTAVE_SCALE: f32 = 0.264;
 /// Rotation from one octave to the next, by 1 rad about (1, 2, 3): aligned lattices show blocks.
 const TURN: [Vec3; 3] = [
     [0.573_137_9, -0.609_006_6, 0.548_291_8],
@@ -36,7 +38,7 @@ const TURN: [Vec3; 3] = [
 const FARTHEST: f32 = 0.1;
 
 /// Extinction by flocs averaged over space, relative to that inside them.
-const MEAN_FLOCS: f32 = 0.0163;
+const MEAN_FLOCS: f32 = 0.016;
 
 /// Values of a node of the grid: backscattered light [3], transmittance of the camera's path [3]
 /// and of the LEDs' paths [3], and optical depth of scattering.
@@ -321,8 +323,8 @@ impl Medium {
     }
 
     /// Density relative to the mean, and extinction by flocs [1/m], given the distance to the next
-    /// ray [m]. Flocs fade to their mean where they are as far apart as rays, which would show them
-    /// as blocks.
+    /// ray [m]. Flocs fade to their mean where they are less than four rays apart, which would show
+    /// them as blocks.
     fn density(&self, point: Vec3, apart: f32) -> (f32, f32) {
         let (spread, size) = self.clouds;
         let mut density = 1.0;
@@ -335,9 +337,10 @@ impl Medium {
         let (extinction, size) = self.flocs;
         let mut flocs = 0.0;
         if extinction > 0.0 {
-            let noise = fractal(point.map(|x| x / size), self.seed ^ 0x9e37_79b9);
+            let at = TURN.map(|row| dot(row, point.map(|x| x / size)));
+            let noise = gradient_noise(at, self.seed ^ 0x9e37_79b9) / OCTAVE_SCALE;
             let t = ((noise - 1.2) / 0.6).clamp(0.0, 1.0);
-            let resolved = ((size - apart) / (1.5 * apart).max(1e-9)).clamp(0.0, 1.0);
+            let resolved = (0.5 * size / apart.max(1e-9) - 1.0).clamp(0.0, 1.0);
             let floc = t * t * (3.0 - 2.0 * t);
             flocs = extinction * (MEAN_FLOCS + resolved * (floc - MEAN_FLOCS));
         }

@@ -110,7 +110,7 @@ MUCOSAE: dict[str, Mucosa] = {
     "small-bowel": Mucosa(
         base_color=(0.340, 0.206, 0.103),
         redness_variation=0.32,
-        patchiness=0.2,
+        patchiness=0.45,
         patient_variation=(0.22, 0.3),
         bile=0.75,
         vessel_contrast=0.06,

@@ -83,6 +83,8 @@ def test_unknown_names_and_negative_seeds_are_refused():
         generate_organ("colom", seed=0)
     with pytest.raises(InputError, match=r"Distension is 'full'\. Allowed: inflated, normal"):
         generate_organ("colon", seed=0, distension="full")
+    with pytest.raises(InputError, match="Seed is 1\\.5"):
+        generate_organ("colon", seed=1.5)  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="Seed -1 is negative"):
         generate_organ("colon", seed=-1)
 

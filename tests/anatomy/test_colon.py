@@ -314,6 +314,8 @@ def test_impossible_parameters_are_refused():
         )
     with pytest.raises(InputError, match=r"flexures is 50\. Allowed: 4 to 20"):
         dataclasses.replace(ColonParameters(), flexures=50)
+    with pytest.raises(InputError, match="roughness is nan"):
+        ColonParameters(roughness=float("nan"))
     with pytest.raises(InputError, match=r"triangles is 10\. Allowed: 20000 to 5000000"):
         dataclasses.replace(ColonParameters(), triangles=10)
 

@@ -1,14 +1,19 @@
 """Fields of settings: values of a wrong type are reported, files have checksums."""
 
+import json
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 import pytest
 
 from vrcaps.actuation.magnet_actuator import FreeActuator
 from vrcaps.actuation.magnet_pose_solver import Workspace
-from vrcaps.camera_pipeline.effects import WhiteBalance
+from vrcaps.anatomy.catalog import generate_organ
+from vrcaps.camera.camera import Camera, led_ring
+from vrcaps.camera.lens import LensEquidistant
+from vrcaps.camera_pipeline.effects import Effects, WhiteBalance
+from vrcaps.capsule.device import Device
 from vrcaps.core.errors import InputError
 from vrcaps.core.fields import FileRef, Range, check_fields, file_ref, path_of, with_checksums
 from vrcaps.learn.compositing import CompositeSettings
@@ -16,6 +21,12 @@ from vrcaps.lesion import Polyp
 from vrcaps.lumen.contents import Bubbles, Chyme, Contents, Liquid
 from vrcaps.motion.dynamics_settings import DynamicsSettings
 from vrcaps.render.settings import RenderSettings
+from vrcaps.scenario.scenario import (
+    OrganGenerated,
+    Scenario,
+    scenario_from_plain,
+    scenario_to_plain,
+)
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.motility.motility import GiantContractions, Propulsion
 from vrcaps.tissue.tissue import Drag, SpringWall, WinklerFoundation
@@ -67,6 +78,8 @@ class Settings:
     color: tuple[float, float, float] = (0.0, 0.0, 0.0)
     sizes: tuple[int, ...] = ()
     anything: Any = None
+    factor: Literal[2, 4] = 2
+    choice: Literal[0] | str | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, of="Settings")
@@ -77,14 +90,22 @@ class Settings:
     [
         ({"speed": "a"}, "Settings' speed is 'a'. Allowed: a number."),
         ({"speed": None}, "Settings' speed is None. Allowed: a number."),
+        ({"speed": np.str_("1")}, "Allowed: a number."),
+        ({"speed": np.complex64(1)}, "Allowed: a number."),
+        ({"speed": np.array("1")}, "Allowed: a number."),
         ({"limit": (1.0,)}, "Settings' limit is (1.0,). Allowed: a number."),
         ({"count": 1.5}, "Settings' count is 1.5. Allowed: a whole number, 1 or more."),
         ({"count": np.float64(2.0)}, "Allowed: a whole number, 1 or more."),
         ({"count": 0}, "Settings' count is 0. Allowed: 1 or more."),
         ({"color": 5}, "Settings' color is 5. Allowed: 3 numbers."),
+        ({"color": np.array(5.0)}, "Allowed: 3 numbers."),
         ({"color": (1.0, 2.0)}, "Settings' color is (1.0, 2.0). Allowed: 3 numbers."),
         ({"color": "abc"}, "Settings' color is 'abc'. Allowed: 3 numbers."),
         ({"sizes": (1, 2.5)}, "Settings' sizes is (1, 2.5). Allowed: whole numbers."),
+        ({"factor": 3}, "Settings' factor is 3. Allowed: 2, 4."),
+        ({"factor": None}, "Settings' factor is None. Allowed: 2, 4."),
+        ({"factor": "2"}, "Settings' factor is '2'. Allowed: 2, 4."),
+        ({"factor": np.array([2, 4])}, "Allowed: 2, 4."),
     ],
 )
 def test_a_value_of_a_wrong_type_is_reported(given, allowed):
@@ -96,7 +117,35 @@ def test_a_value_of_a_wrong_type_is_reported(given, allowed):
 def test_numbers_of_numpy_are_numbers():
     given: dict[str, Any] = {"speed": np.float32(2.0), "count": np.int64(3), "limit": np.array(1.0)}
     given |= {"color": np.zeros(3), "sizes": [np.int8(1)], "anything": "text"}
-    assert Settings(**given).count == 3
+    given |= {"factor": np.int64(4), "choice": "text"}
+    settings = Settings(**given)
+    assert settings == Settings(
+        2.0, 3, 1.0, (0.0, 0.0, 0.0), sizes=(1,), anything="text", factor=4, choice="text"
+    )
+    values = (settings.speed, settings.count, settings.limit, settings.factor, *settings.color)
+    assert {type(value) for value in values} == {float, int}
+
+
+def test_numbers_of_numpy_reach_files(tmp_path, monkeypatch):
+    monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path))
+    zero, two, side = (cast(Any, np.int64(value)) for value in (0, 2, 32))
+    half = cast(Any, np.float32(15.5))
+    lens, position = LensEquidistant(focal=20.0, cx=half, cy=half), cast(Any, np.zeros(3))
+    camera = Camera("front", lens, side, side, position, leds=led_ring(two, radius=3e-3))
+    device = Device(length=cast(Any, np.float32(24e-3)), radius=5e-3, mass=3e-3, cameras=(camera,))
+    assert (type(camera.width), camera.position) == (int, (0.0, 0.0, 0.0))
+    assert len(camera.leds) == 2
+    assert Contents(medium=two).medium_and_film == Contents(medium=2).medium_and_film
+    assert Effects(sensor_noise=(two, two)) == Effects(sensor_noise=(2, 2))
+    given: dict[str, Any] = {"frames": two, "seed": two, "fps": np.float32(4.0)}
+    given |= {
+        "capsule": device,
+        "effects": Effects(sensor_noise=two),
+        "contents": Contents(bubbles=two),
+    }
+    scenario = Scenario(OrganGenerated("stomach", seed=two), **given)
+    assert scenario_from_plain(json.loads(json.dumps(scenario_to_plain(scenario)))) == scenario
+    assert generate_organ("stomach", seed=zero).metadata["seed"] == 0
 
 
 @pytest.mark.parametrize(

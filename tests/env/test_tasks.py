@@ -110,6 +110,8 @@ def test_tasks_bring_settings_that_suit_them() -> None:
 def test_bad_tasks_are_one_clear_line() -> None:
     with pytest.raises(InputError, match="NavigateTask's goal is 1"):
         NavigateTask(goal=1.5)
+    with pytest.raises(InputError, match="NavigateTask's goal is None"):
+        NavigateTask(goal=None)  # pyright: ignore[reportArgumentType]
     with pytest.raises(UnknownNameError, match="No segment of gut named"):
         simulation_of(task=NavigateTask(goal="duodenum"), actuation="wrench", organs=(GUT,))
     with pytest.raises(UnknownNameError, match="level of coverage for a task"):

@@ -118,6 +118,13 @@ def test_other_mucosae_and_direct_light_have_none():
     assert np.array_equal(_frame(bowel, **direct).rgb, _frame(bowel, villi=0.0, **direct).rgb)
 
 
+def test_names_beyond_the_labels_have_none():
+    model = _bowel()
+    names = (*model.organ.label_names, *(f"region {k}" for k in range(255)))
+    many = make_model(replace(model.organ, label_names=names), _CAMERA)
+    assert np.array_equal(_frame(many).rgb, _frame(model).rgb)
+
+
 def test_the_ileum_has_shorter_villi_than_the_jejunum():
     jejunum, ileum = find_segment("jejunum"), find_segment("ileum")
     assert jejunum is not None

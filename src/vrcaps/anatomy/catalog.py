@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.fields import plain_value
 from vrcaps.organ.cache import cached_organ, fingerprint
 from vrcaps.organ.segments import DISTENSIONS, ORGANS
 from vrcaps.organ.surface import OrganSurface
@@ -60,10 +61,14 @@ def generate_organ(
 
     Raises:
         UnknownNameError: If the catalog has no such organ or mucosa.
-        InputError: If the seed is negative, or there is no such distension or texture.
+        InputError: If the seed is negative or no whole number, or there is no such distension
+            or texture.
     """
     if name not in ORGANS:
         raise UnknownNameError("organ", name, ORGANS)
+    seed = plain_value(seed)
+    if not isinstance(seed, int):
+        raise InputError(f"Seed is {seed!r}. Allowed: 0, 1, 2, …")
     if seed < 0:
         raise InputError(f"Seed {seed} is negative. Allowed: 0, 1, 2, …")
     if distension not in (None, *DISTENSIONS):

@@ -12,6 +12,7 @@ import numpy as np
 
 from vrcaps.camera.lens import AnyLens
 from vrcaps.core.errors import InputError, UnknownNameError, require
+from vrcaps.core.fields import plain_fields, plain_value
 from vrcaps.core.geometry import transform_from
 
 if TYPE_CHECKING:
@@ -61,6 +62,7 @@ class Led:
     emitter_radius: float = field(default=0.0, metadata={"unit": "mm"})
 
     def __post_init__(self) -> None:
+        plain_fields(self)
         length = float(np.linalg.norm(self.direction_camera))
         is_valid = np.isfinite(length) and length > 0.0
         require(is_valid, "Led's direction", self.direction_camera, "any direction but zero")
@@ -97,6 +99,7 @@ def led_ring(
         InputError: If the parameters do not describe a ring.
     """
     require(0.0 < radius < np.inf, "radius of the LED ring", radius, "above 0 m")
+    angles = plain_value(angles)
     if isinstance(angles, int):
         require(angles > 0, "number of LEDs of the ring", angles, "1 or more")
         angles = (2.0 * np.pi / angles * np.arange(angles)).tolist()
@@ -157,6 +160,9 @@ class Camera:
         is_free = self.name.lower() not in _RESERVED
         others = f"any but {', '.join(_RESERVED)}, which an episode uses itself"
         require(is_free, "Camera's name", repr(self.name), others)
+        plain_fields(self)
+        if not isinstance(self.position, tuple):
+            object.__setattr__(self, "position", plain_value(tuple(self.position)))
         for name in ("width", "height"):
             size = getattr(self, name)
             is_valid = isinstance(size, int) and 1 <= size <= _MAX_SIDE_PX

@@ -48,6 +48,7 @@ from vrcaps.camera_pipeline.effect.scene import DomeBubbles, SpecularReflection
 from vrcaps.camera_pipeline.effect.sensor import BayerFilter, Resolution, SensorNoise
 from vrcaps.capsule.image_chain import EQUAL_UNITS
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.fields import plain_fields
 from vrcaps.core.rng import stream, truncated_normal
 
 if TYPE_CHECKING:
@@ -102,6 +103,7 @@ class Effects:
     adaptive_frame_rate: Literal[0] | AdaptiveFrameRate | None = None
 
     def __post_init__(self) -> None:
+        plain_fields(self)
         for name, kind in EFFECTS.items():
             _check(kind, getattr(self, name))
 

@@ -10,6 +10,7 @@ import numpy as np
 from vrcaps.camera.camera import Camera, camera_named, check_names
 from vrcaps.capsule.image_chain import ImageChain
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.fields import plain_fields
 from vrcaps.magnet.sources import InternalMagnet
 
 if TYPE_CHECKING:
@@ -64,6 +65,7 @@ class Device:
     metadata: dict = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        plain_fields(self)
         for name, unit in (("length", "m"), ("radius", "m"), ("mass", "kg"), ("frame_rate", "1/s")):
             value = getattr(self, name)
             require(0.0 < value < np.inf, f"{name} of the capsule", value, f"above 0 {unit}")

@@ -392,7 +392,7 @@ def _allowed(declared: Any) -> str:
             words.append("a list")
         else:
             words.append("a table")
-    return " or ".join(words)
+    return " or ".join(dict.fromkeys(words))
 
 
 def _abbreviated(plain: Any) -> str:

@@ -62,7 +62,7 @@ def check_fields(instance: Any, of: str = "") -> None:
     """Check that each field of numbers, or with a `Range` or a `Literal`, holds an allowed value.
 
     Call it in `__post_init__`. A field that may be None is not checked if it is; an infinite number
-    is outside any open range. NumPy's numbers and arrays without axes are numbers.
+    is outside any open range. NumPy's values become Python's, so that files can hold them.
 
     Args:
         instance: The dataclass.
@@ -74,15 +74,40 @@ def check_fields(instance: Any, of: str = "") -> None:
         UnknownNameError: If a string is none of the literals.
     """
     owner = "" if not of else f"{of}' " if of.endswith("s") else f"{of}'s "
+    plain_fields(instance)
     for name, limit in _limits(type(instance)):
         value = getattr(instance, name)
         if limit.words and not _are_numbers(value, limit):
             limits = f", {limit.range_}" if limit.range_ else ""
             raise InputError(f"{owner}{name} is {value!r}. Allowed: {limit.words}{limits}.")
+        if limit.count is not None and value is not None:
+            object.__setattr__(instance, name, plain_value(tuple(value)))
+            continue
         if limit.range_ is not None and value is not None and value not in limit.range_:
             raise InputError(f"{owner}{name} is {value}. Allowed: {limit.range_}.")
         if limit.known and isinstance(value, str) and value not in limit.known:
             raise UnknownNameError(name.replace("_", " "), value, limit.known)
+        if limit.whole and not (_is_number(value, limit) and value in limit.whole):
+            allowed = ", ".join(map(str, limit.whole))
+            raise InputError(f"{owner}{name} is {value!r}. Allowed: {allowed}.")
+
+
+def plain_fields(instance: Any) -> None:
+    """Convert the fields of a dataclass that are NumPy's scalars or short arrays to Python's."""
+    for f in fields(instance):
+        value = getattr(instance, f.name)
+        plain = plain_value(value)
+        if plain is not value:
+            object.__setattr__(instance, f.name, plain)
+
+
+def plain_value(value: Any) -> Any:
+    """Convert a scalar of NumPy, or an array without axes, to Python's; also within tuples."""
+    if isinstance(value, tuple):
+        items = tuple(plain_value(item) for item in value)
+        return items if any(a is not b for a, b in zip(items, value, strict=True)) else value
+    is_numpy = type(value).__module__ == "numpy" and getattr(value, "ndim", 1) == 0
+    return value.item() if is_numpy else value
 
 
 @dataclass(frozen=True)
@@ -96,6 +121,7 @@ class _Limit:
         count: Their number in a tuple, 0 for any; None for a single number.
         range_: Range of a single number.
         known: Allowed strings; empty for any.
+        whole: Allowed whole numbers of a `Literal`; empty for any.
     """
 
     is_optional: bool
@@ -104,13 +130,16 @@ class _Limit:
     count: int | None
     range_: Range | None
     known: tuple[str, ...]
+    whole: tuple[int, ...]
 
 
 @cache
 def _limits(cls: type) -> tuple[tuple[str, _Limit], ...]:
     hints = get_type_hints(cls, include_extras=True)
     limits = [(f.name, _limit(hints[f.name])) for f in fields(cls)]
-    return tuple((name, limit) for name, limit in limits if limit.words or limit.known)
+    return tuple(
+        (name, limit) for name, limit in limits if limit.words or limit.known or limit.whole
+    )
 
 
 def _limit(hint: Any) -> _Limit:
@@ -128,20 +157,27 @@ def _limit(hint: Any) -> _Limit:
     if range_ or (members and members <= {int, float}):
         whole = "whole " if is_whole else ""
         words = f"a {whole}number" if count is None else f"{count or ''} {whole}numbers".lstrip()
-    return _Limit(is_optional, words, is_whole, count, range_, _literals(hint))
+    known = _literals(hint)
+    names = tuple(value for value in known if isinstance(value, str))
+    # The literals of a union, such as 0 or a table, do not limit its other values.
+    whole = () if is_union or names else known
+    return _Limit(is_optional, words, is_whole or bool(whole), count, range_, names, whole)
 
 
 def _are_numbers(value: Any, limit: _Limit) -> bool:
     if value is None:
         return limit.is_optional
     if limit.count is None:
-        return _is_number(value, limit.is_whole)
-    is_counted = hasattr(value, "__len__") and limit.count in (0, len(value))
-    return is_counted and all(_is_number(item, limit.is_whole) for item in value)
+        return _is_number(value, limit)
+    if not hasattr(value, "__len__") or getattr(value, "ndim", 1) == 0:
+        return False
+    is_counted = limit.count in (0, len(value))
+    return is_counted and all(_is_number(item, limit) for item in value)
 
 
-def _is_number(value: Any, is_whole: bool) -> bool:
-    if not is_whole:
+def _is_number(value: Any, limit: _Limit) -> bool:
+    value = plain_value(value)
+    if not limit.is_whole:
         return isinstance(value, Real) or getattr(value, "ndim", 1) == 0
     try:
         operator.index(value)
@@ -150,8 +186,8 @@ def _is_number(value: Any, is_whole: bool) -> bool:
     return True
 
 
-def _literals(hint: Any) -> tuple[str, ...]:
-    """Strings that a type allows; empty if it allows any."""
+def _literals(hint: Any) -> tuple[Any, ...]:
+    """Literals that a type allows; empty if it allows any string."""
     if get_origin(hint) is Annotated:
         hint = get_args(hint)[0]
     if get_origin(hint) is Literal:

@@ -236,11 +236,11 @@ class ImageObservation(Observation):
     def __post_init__(self) -> None:
         if self.channel not in LIMITS:
             raise UnknownNameError("channel to observe", self.channel, LIMITS)
-        size = tuple(self.size)
-        is_size = len(size) == 2 and all(isinstance(n, int) and 8 <= n <= 4096 for n in size)
+        check_fields(self)
+        size = tuple(int(n) for n in self.size)
+        is_size = all(8 <= n <= 4096 for n in size)
         require(is_size, "size", self.size, "height and width, 8 to 4096 pixels each")
         object.__setattr__(self, "size", size)
-        check_fields(self)
         is_distance = self.channel in DISTANCES or not self.noise
         require(is_distance, "noise", f"{self.noise:g} of {self.channel}", f"0, or {DISTANCES}")
 

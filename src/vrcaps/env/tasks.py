@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
@@ -81,7 +82,7 @@ class NavigateTask(Task):
     def __post_init__(self) -> None:
         check_fields(self)
         if not isinstance(self.goal, str):
-            is_valid = 0.0 <= self.goal <= 1.0
+            is_valid = isinstance(self.goal, Real) and 0.0 <= self.goal <= 1.0
             require(is_valid, "NavigateTask's goal", self.goal, "0 to 1, or a segment's name")
 
     @property

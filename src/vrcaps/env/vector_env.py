@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.fields import plain_value
 from vrcaps.env.episode import Episode, EpisodeStep
 from vrcaps.env.parts import EnvView
 from vrcaps.env.settings import EnvSettings
@@ -96,10 +97,11 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         if options and "reset_mask" in options:
             mask = np.asarray(options["reset_mask"], bool)
             require(mask.shape == (self.num_envs,), "reset_mask", mask, "one value per world")
+        seed = plain_value(seed)
         seeds = [seed + k for k in range(self.num_envs)] if isinstance(seed, int) else seed
         for index, value in enumerate(seeds or ()):
             if value is not None and mask[index]:
-                self._generators[index] = seeding.np_random(value)[0]
+                self._generators[index] = seeding.np_random(plain_value(value))[0]
         if seeds is not None and seeds[0] is not None:
             self._np_random, self._np_random_seed = seeding.np_random(int(seeds[0]))
         require(self._was_reset or bool(mask.all()), "reset_mask", mask, "all at the first reset")

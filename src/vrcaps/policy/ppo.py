@@ -79,7 +79,7 @@ class PpoSettings:
     def __post_init__(self) -> None:
         check_fields(self)
         allowed = "1 or more layers of 1 or more neurons"
-        require(bool(self.hidden) and min(self.hidden) >= 1, "hidden", self.hidden, allowed)
+        require(len(self.hidden) > 0 and min(self.hidden) >= 1, "hidden", self.hidden, allowed)
 
 
 class Ppo:

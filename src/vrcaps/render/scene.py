@@ -107,10 +107,10 @@ def make_villi(organ: OrganSurface, settings: RenderSettings) -> Villi | None:
     """Villi of an organ; None if it has none, or with direct light.
 
     Args:
-        organ: Organ, whose labels determine the length.
+        organ: Organ, whose labels determine the length; only the first 256 names have labels.
         settings: Light and relative length.
     """
-    segments = [find_segment(name) for name in organ.label_names]
+    segments = [find_segment(name) for name in organ.label_names[:256]]
     lengths = [segment.villi * settings.villi if segment else 0.0 for segment in segments]
     if settings.light == "direct" or not any(lengths):
         return None

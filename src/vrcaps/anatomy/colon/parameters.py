@@ -87,14 +87,14 @@ class ColonParameters:
     sigmoid: ColonSegment = ColonSegment(48.0 * CM, 4.0 * CM, 24 * MM, 6 * MM, 0.03)
     rectum: ColonSegment = ColonSegment(17.7 * CM, 4.8 * CM, 40 * MM, 0.0, 0.0)
     flexures: Annotated[int, Range(4, 20)] = 11
-    taenia_width: float = 8 * MM
-    taenia_depth: float = 1.5 * MM
-    haustra_depth: float = 0.14
-    fold_thickness: float = 5.0 * MM
-    fold_irregularity: float = 0.25
-    valve_height: float = 13 * MM
-    ileocaecal_height: float = 11 * MM
-    roughness: float = 0.35 * MM
+    taenia_width: Annotated[float, Range(0.0)] = 8 * MM
+    taenia_depth: Annotated[float, Range(0.0)] = 1.5 * MM
+    haustra_depth: Annotated[float, Range(0.0)] = 0.14
+    fold_thickness: Annotated[float, Range(0.0)] = 5.0 * MM
+    fold_irregularity: Annotated[float, Range(0.0)] = 0.25
+    valve_height: Annotated[float, Range(0.0)] = 13 * MM
+    ileocaecal_height: Annotated[float, Range(0.0)] = 11 * MM
+    roughness: Annotated[float, Range(0.0)] = 0.35 * MM
     closing: Annotated[float, Range(0.0, 1.0)] = 0.0
     triangles: Annotated[int, Range(20_000, 5_000_000)] = 110_000
 

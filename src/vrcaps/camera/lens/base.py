@@ -16,6 +16,7 @@ import numpy as np
 
 from vrcaps.camera.lens.tensors import namespace, solved
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import plain_fields
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -80,6 +81,7 @@ def check_lens(lens: Any, positive: tuple[str, ...]) -> None:
         InputError: If a parameter is not finite, one that must be positive is not, or `max_angle`
             is outside (0, π].
     """
+    plain_fields(lens)
     for name in (f.name for f in fields(lens)):
         value = getattr(lens, name)
         if name == "max_angle" and value is None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import operator
+from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from numbers import Real
@@ -104,10 +105,15 @@ def plain_fields(instance: Any) -> None:
 def plain_value(value: Any) -> Any:
     """Convert a scalar of NumPy, or an array without axes, to Python's; also within tuples."""
     if isinstance(value, tuple):
-        items = tuple(plain_value(item) for item in value)
-        return items if any(a is not b for a, b in zip(items, value, strict=True)) else value
+        return _mapped(plain_value, value)
     is_numpy = type(value).__module__ == "numpy" and getattr(value, "ndim", 1) == 0
     return value.item() if is_numpy else value
+
+
+def _mapped(function: Callable[[Any], Any], items: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Apply a function to the items of a tuple; return the tuple itself if none changes."""
+    results = tuple(function(item) for item in items)
+    return results if any(a is not b for a, b in zip(results, items, strict=True)) else items
 
 
 @dataclass(frozen=True)
@@ -254,8 +260,7 @@ def with_checksums(tree: Any) -> Any:
     if isinstance(tree, FileRef):
         return tree.checked()
     if isinstance(tree, tuple):
-        items = tuple(with_checksums(item) for item in tree)
-        return items if any(a is not b for a, b in zip(items, tree, strict=True)) else tree
+        return _mapped(with_checksums, tree)
     if not is_dataclass(tree) or isinstance(tree, type):
         return tree
     values = {f.name: getattr(tree, f.name) for f in fields(tree)}

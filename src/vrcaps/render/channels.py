@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from vrcaps import _core
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import UM
 from vrcaps.render.encoding import Encoding, distance, fixed_point, flow, index, numbers
@@ -342,3 +343,13 @@ def fill_empty(arrays: dict[str, NDArray[Any]]) -> None:
             array.fill(value)
     if "sparse_refraction" in arrays:
         arrays["sparse_refraction"].fill(CHANNELS["refraction_label"].if_empty)
+
+
+def write_light(
+    radiance: Float[np.ndarray, "h w 3"], exposure: float, arrays: dict[str, NDArray[Any]]
+) -> None:
+    """Write radiance [W/(sr·m²)], and the image of it at an exposure, where they are requested."""
+    if "radiance" in arrays:
+        arrays["radiance"][...] = radiance
+    if "rgb" in arrays:
+        arrays["rgb"][...] = _core.encode_srgb(radiance, exposure)

@@ -21,6 +21,7 @@ from vrcaps.render.channels import (
     is_light,
     layout,
     needs,
+    write_light,
 )
 from vrcaps.render.flow import (
     REFLECTED,
@@ -163,7 +164,8 @@ class Renderer:
         if amounts is None and villi is None:
             self._render_clear(wall, camera, state, arrays, contents)
             return
-        size, inputs = (camera.height, camera.width), villi.channels if villi else ("ray_distance",)
+        size = camera.height, camera.width
+        inputs = ("ray_distance",) if villi is None else villi.channels
         needed = {name: np.empty(*layout(name, camera)) for name in inputs}
         needed |= {name: array for name, array in arrays.items() if name not in light}
         needed[RADIANCE_PLANAR] = arrays.get(RADIANCE_PLANAR, np.empty((3, *size), np.float32))
@@ -174,11 +176,9 @@ class Renderer:
         if amounts is not None:
             pose, leds = self.pose(state, camera), self._leds(camera)
             self._immersion.apply(amounts, camera, pose, leds, planes, needed["ray_distance"])
-        radiance = np.ascontiguousarray(np.moveaxis(planes, 0, -1))
-        if "radiance" in arrays:
-            arrays["radiance"][...] = radiance
-        if "rgb" in arrays:
-            arrays["rgb"][...] = _core.encode_srgb(radiance, camera.exposure)
+        if light != {RADIANCE_PLANAR}:
+            radiance = np.ascontiguousarray(np.moveaxis(planes, 0, -1))
+            write_light(radiance, camera.exposure, arrays)
 
     def _render_clear(
         self,
@@ -217,13 +217,10 @@ class Renderer:
             return
         draw({name: array for name, array in arrays.items() if name not in light}, 1)
         radiance = supersampled_radiance(draw, camera, self.settings, paths)
-        if "radiance" in arrays:
-            arrays["radiance"][...] = radiance
+        write_light(radiance, camera.exposure, arrays)
         if RADIANCE_PLANAR in arrays:
             planes = crop_margin(arrays[RADIANCE_PLANAR], camera.height, camera.width)
             planes[...] = np.moveaxis(radiance, -1, 0)
-        if "rgb" in arrays:
-            arrays["rgb"][...] = _core.encode_srgb(radiance, camera.exposure)
 
     def _radiosity_for(self, arrays: Iterable[str]) -> _core.Radiosity | None:
         """Return the solver of indirect light, created on first use."""

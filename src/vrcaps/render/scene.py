@@ -22,7 +22,7 @@ from vrcaps.camera.derive import focal_length_px
 from vrcaps.core.color import LINEAR, srgb_from_linear
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import triangle_areas
-from vrcaps.core.units import MM
+from vrcaps.mucosa.mucosa import MUCOSAE
 from vrcaps.organ.segments import find_segment
 from vrcaps.organ.surface import Appearance, OrganSurface, clearcoat_alpha, face_label, round_height
 from vrcaps.render.imaging import Imaging
@@ -100,7 +100,8 @@ class Villi:
         """
         seen = tuple(channels[name] for name in self.channels)
         wall, focal = (self.vertices, self.faces), focal_length_px(camera.lens)
-        _core.raise_villi(planes, seen, wall, self.lengths, _VILLUS_SPACING, focal)
+        spacing = MUCOSAE["small-bowel"].pit_spacing
+        _core.raise_villi(planes, seen, wall, self.lengths, spacing, focal)
 
 
 def make_villi(organ: OrganSurface, settings: RenderSettings) -> Villi | None:
@@ -118,9 +119,6 @@ def make_villi(organ: OrganSurface, settings: RenderSettings) -> Villi | None:
     vertices, faces = np.asarray(organ.vertices, np.float64), np.asarray(organ.faces, np.int64)
     return Villi(tuple(lengths), vertices, faces)
 
-
-_VILLUS_SPACING = 0.42 * MM
-"""Distance between villi, that of `MUCOSAE["small-bowel"].pit_spacing`."""
 
 _CELL_HEIGHT = 5e-6
 """RMS height of features below texel size [m], the domes of surface cells: an assumption."""

@@ -5,13 +5,17 @@ from __future__ import annotations
 import ast
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.support.coarse_organs import COARSE_BAKING
 from tests.support.programs import run_program
+from vrcaps import cli
+from vrcaps.cli.record import Record
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough
+from vrcaps.scenario.build import resolve
 from vrcaps.scenario.scenario import OrganFile, read_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -53,6 +57,16 @@ def test_program_of_the_front_page_runs(tmp_path: Path) -> None:
     assert short.count("frames=2") == 1
     (tmp_path / "program.py").write_text(short)
     assert len(output_of(tmp_path / "program.py", tmp_path).splitlines()) == 2
+
+
+def test_command_of_the_front_page_records_the_scenario_of_its_program() -> None:
+    (program,) = code_blocks("README.md", "python")
+    names: dict[str, Any] = {}
+    exec(program.partition("vrcaps.record(")[0], names)
+    (command,) = re.findall(r"^vrcaps (record .*)$", (ROOT / "README.md").read_text(), re.MULTILINE)
+    record = cli._parse(command.split())
+    assert isinstance(record, Record)
+    assert resolve(record.resolved()).scenario == resolve(names["scenario"]).scenario
 
 
 def test_scenario_of_the_quickstart_is_one(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import trimesh
 
 import vrcaps
 from tests.support.tubes import straight_gut
+from vrcaps.organ.read_organ import read_organ
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "tutorials" / "quickstart.md"
 MAX_STATEMENTS = 6
@@ -49,6 +50,16 @@ def test_renders_a_frame_of_a_mesh_file(folder: Path):
     frame = run(programs()[0])["frame"]
     assert frame.rgb.shape == (*frame.depth.shape, 3)
     assert np.nanmin(frame.depth) > 0.0
+
+
+@pytest.mark.slow
+def test_writes_a_mesh_file(folder: Path):
+    """The mesh of the page is read as the organ that it was written from."""
+    text = PAGE.read_text(encoding="utf-8").split("## Your own organ\n")[1]
+    organ = run(re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0])["organ"]
+    read = read_organ(Path("colon.ply"), unit="mm")
+    assert read.centerline.length == pytest.approx(organ.centerline.length, rel=0.02)
+    np.testing.assert_allclose(np.ptp(read.vertices, 0), np.ptp(organ.vertices, 0), rtol=1e-3)
 
 
 @pytest.mark.slow

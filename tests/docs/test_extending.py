@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+import tomllib
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -50,6 +51,16 @@ def run(title: str) -> dict[str, Any]:
     for program in programs(title):
         exec(compile(program, str(PAGE), "exec", dont_inherit=True), vars(module))
     return vars(module)
+
+
+def test_the_module_of_the_entry_point_is_in_the_layout() -> None:
+    text = PAGE.read_text("utf-8")
+    (layout,) = re.findall(r"```text\n(.*?)```", text, re.DOTALL)
+    (about,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    (module,) = tomllib.loads(about)["project"]["entry-points"]["vrcaps.plugins"].values()
+    root, about_file, package, *modules = [line.split()[0] for line in layout.splitlines()]
+    assert (root, about_file) == (f"{tomllib.loads(about)['project']['name']}/", "pyproject.toml")
+    assert module in {package.rstrip("/") + "." + name.removesuffix(".py") for name in modules}
 
 
 @pytest.mark.slow

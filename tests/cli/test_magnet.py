@@ -35,6 +35,12 @@ def test_it_prints_and_draws(tmp_path, capsys):
     assert len(properties(read_magnet("cylinder-50.8"))) == 3
 
 
+def test_a_figure_has_the_whole_name_of_the_magnet(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Show("cylinder-50.8").run()
+    assert [path.name for path in tmp_path.iterdir()] == ["cylinder-50.8-field.png"]
+
+
 def test_a_capsule_without_a_magnet_is_one_line(tmp_path):
     with pytest.raises(InputError, match=r"Capsule mirocam contains no magnet\. Give"):
         Show("cylinder-50.8", capsule="mirocam", picture=tmp_path / "a.png").run()

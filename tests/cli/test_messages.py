@@ -9,6 +9,7 @@ from threading import Event
 
 import pytest
 
+import vrcaps
 from tests.support.waiting import WATCHDOG
 from vrcaps import cli
 from vrcaps.cli import console
@@ -36,6 +37,8 @@ def said(args: list[str], capsys: pytest.CaptureFixture[str]) -> str:
         ("evaluate dept --data x", "Did you mean 'depth'?"),
         ("organ mak colon", "No organ command named 'mak'."),
         ("weights list --place x", "No option of vrcaps weights list named '--place'."),
+        ("--verison", "No option of vrcaps named '--verison'. Known: --help, --version."),
+        ("doctor --all", "No option of vrcaps doctor named '--all'. Known: --help."),
         ("check a b", "'b' is one argument too many. Known options: vrcaps check --help."),
         ("check a --verbos", "No option of vrcaps check named '--verbos'."),
         ("dataset check a --checksum-only", "Did you mean '--checksums-only'?"),
@@ -50,6 +53,11 @@ def said(args: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 )
 def test_a_misspelled_word_is_said_with_what_was_meant(args, message, capsys) -> None:
     assert message in said(args.split(), capsys)
+
+
+def test_the_version_is_printed(capsys) -> None:
+    cli.main(["--version"])
+    assert capsys.readouterr().out == f"vrcaps {vrcaps.__version__}\n"
 
 
 @pytest.mark.parametrize("args", [[], ["export"], ["dataset"]])

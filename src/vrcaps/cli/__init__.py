@@ -12,6 +12,7 @@ from importlib import import_module
 from itertools import takewhile
 from typing import Any, Protocol
 
+from vrcaps._core import __version__
 from vrcaps.cli.arguments import check_verb, option_error, require_file
 from vrcaps.cli.console import EXIT_BROKEN_PIPE, configure_streams, discard_output, flush_output
 from vrcaps.core.errors import MissingExtraError, VrcapsError, reason_of
@@ -23,7 +24,8 @@ EXIT_INTERRUPTED = 130
 
 _DESCRIPTION = """A virtual environment for capsule endoscopy: headless, exactly labeled, fast.
 
-Start with `vrcaps demo`. Every verb shows examples with --help."""
+Start with `vrcaps demo`. Every verb shows examples with --help; `vrcaps --version` prints the
+version."""
 
 
 _VERBS = {
@@ -138,11 +140,15 @@ def main(args: Sequence[str] | None = None) -> None:
         args: Arguments after the program's name; None means those of the process.
     """
     configure_streams()
+    args = sys.argv[1:] if args is None else args
     # NumPy is not imported yet. Its matrices are small here, and idle threads of BLAS keep
     # spinning, which takes time from the renderer.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        _run(sys.argv[1:] if args is None else args)
+        if list(args) == ["--version"]:
+            sys.stdout.write(f"vrcaps {__version__}\n")
+        else:
+            _run(args)
     finally:
         flush_output()
 

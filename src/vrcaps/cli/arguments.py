@@ -15,7 +15,7 @@ _BOX = re.compile(r"[╭╮╰╯│─]+|-{4,}|(?<!\S)[|+](?!\S)")
 _OPTION = re.compile(r"^ *(?:-\w, )?(--[a-z][\w.-]*)", re.MULTILINE)
 _ALIKE = 0.8
 """Minimum similarity at which the name of a policy is taken for a misspelled task."""
-_HELP = "Known options: vrcaps {verb} --help."
+_HELP = "Known options: {} --help."
 _MISSING = re.compile(r"Missing from vrcaps[^:]*: (.*?) For full helptext")
 _EMPTY = re.compile(r"Missing value for argument '(.*?)'")
 _CHOICE = re.compile(r"invalid choice '(.*?)' for argument '(.*?)'\. Expected one of (.*?)\. For ")
@@ -59,13 +59,15 @@ def option_error(message: str, help_text: Callable[[], str], verb: str) -> Input
         help_text: Returns the help of the verb, which lists all options.
         verb: Words of the verb.
     """
-    text, more = " ".join(_BOX.sub(" ", message).split()), _HELP.format(verb=verb)
+    program = f"vrcaps {verb}".rstrip()
+    text, more = " ".join(_BOX.sub(" ", message).split()), _HELP.format(program)
     if unknown := re.search(r"Unrecognized options: (\S+)", text):
         given = unknown[1].rstrip(",").partition("=")[0]
         line = f"{given!r} is one argument too many. {more}"
         if given.startswith("-"):
-            known = {*_OPTION.findall(_BOX.sub(" ", help_text()))} - {"--help"}
-            line = str(UnknownNameError(f"option of vrcaps {verb}", given, known))
+            listed = {*_OPTION.findall(_BOX.sub(" ", help_text()))} - {"--help"}
+            known = (listed or {"--help"}) | (set() if verb else {"--version"})
+            line = str(UnknownNameError(f"option of {program}", given, known))
     elif missing := _MISSING.search(text):
         line = f"Missing: {_missing(missing[1])}. {more}"
     elif empty := _EMPTY.search(text):

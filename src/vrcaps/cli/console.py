@@ -15,6 +15,8 @@ from rich.console import Console
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn
 
+    from vrcaps.core.processes import ProgressReport
+
 EXIT_BROKEN_PIPE = 141
 """Exit status of a program ended by SIGPIPE, in a shell."""
 
@@ -66,7 +68,7 @@ _TICK = 1.0
 
 
 @contextmanager
-def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
+def progress_bar(title: str) -> Iterator[ProgressReport]:
     """Progress bar on stderr, updated with the counts done and in total; lines in a log file.
 
     Args:
@@ -88,7 +90,7 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
 @contextmanager
 def progress_bars(
     counted: str, timed: str
-) -> Iterator[tuple[Callable[[int, int], None], Callable[[float, float], None]]]:
+) -> Iterator[tuple[ProgressReport, Callable[[float, float], None]]]:
     """Bar of counted items, and one of simulated time that appears when it is first updated.
 
     Args:

@@ -141,16 +141,14 @@ class Check:
         for fault in faults:
             console.print(fault)
         if faults:
-            noun = "fault" if len(faults) == 1 else "faults"
-            raise InputError(f"{self.dataset} has {len(faults)} {noun}.")
+            raise InputError(f"{self.dataset} has {len(faults)} fault{'s' * (len(faults) > 1)}.")
         rows = rows_of(open_store(self.dataset))
         splits = ", ".join(f"{part.patients} {name}" for name, part in by_split(rows).items())
         total = count(rows)
         console.print(
             f"{total.recordings} recordings of {total.patients} patients ({splits}) are complete."
         )
-        shared = len(shared_organs(rows))
-        if shared:
+        if shared := len(shared_organs(rows)):
             console.print(f"Note: patients in different splits share an organ ({shared} organs).")
 
 
@@ -284,7 +282,9 @@ class Composite:
 
         require_new_folder(self.out)
         settings = CompositeSettings(self.count, self.normal, self.fluid, seed=self.seed)
-        pairs, images = lesion_pairs(read_sources((self.dataset,))), read_sources(self.into)
+        with progress_bar("reading") as show:
+            pairs = lesion_pairs(read_sources((self.dataset,), show))
+            images = read_sources(self.into, show)
         with progress_bar("compositing") as show:
             counts = write_composites(pairs, images, self.out, settings, progress=show)
         console.print(f"Wrote {self.out}: {', '.join(f'{n:,} {k}' for k, n in counts.items())}.")

@@ -15,6 +15,7 @@ from vrcaps.cli.arguments import require_sources
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.parts import command_of, part_of
 from vrcaps.core.errors import InputError
+from vrcaps.core.processes import ProgressReport
 from vrcaps.learn.registry import TASKS
 
 if TYPE_CHECKING:
@@ -143,7 +144,7 @@ class _Train:
         return kept
 
 
-def _reporter(metric: str, show: Callable[[int, int], None]) -> Callable[[Progress], None]:
+def _reporter(metric: str, show: ProgressReport) -> Callable[[Progress], None]:
     """Callback that prints a line per evaluation and advances a progress bar."""
     printed = 0
 
@@ -275,7 +276,8 @@ class _Predict:
 
         require_new_folder(self.out)
         field = None if self.fov is None else radians(self.fov)
-        images = images_of(self.images, self.task, self.capsule, field)
+        with progress_bar("reading") as show:
+            images = images_of(self.images, self.task, self.capsule, field, progress=show)
         if self.fov is not None:
             console.print(
                 f"Assumed for images without a camera: an equidistant lens with a field of view of "

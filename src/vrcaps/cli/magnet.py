@@ -66,7 +66,7 @@ class Show:
         """Print the properties and draw the figure."""
         from vrcaps.capsule.device_file import read_device
 
-        picture = self.picture or Path(f"{Path(self.magnet).stem}-field.png")
+        picture = self.picture or Path(f"{self._name()}-field.png")
         require_out(picture, ".png", "--picture")
         magnet = read_magnet(self.magnet)
         inside = read_device(self.capsule).magnets
@@ -87,6 +87,9 @@ class Show:
         self._draw(magnet, inside, picture)
         console.print(f"Wrote {picture}.")
 
+    def _name(self) -> str:
+        return Path(self.magnet).name.removesuffix(".toml")
+
     def _draw(self, magnet: Magnet, inside: tuple[InternalMagnet, ...], picture: Path) -> None:
         from vrcaps.core.files import write_bytes
         from vrcaps.tools.report import make_figure, png_bytes
@@ -99,7 +102,7 @@ class Show:
         right.set_xlabel("distance from the magnet's face [cm]")
         right.set_ylabel(f"pull on the capsule {self.capsule} [N]")
         right.grid(visible=True, which="both", alpha=0.3)
-        figure.suptitle(f"{Path(self.magnet).stem}: {magnet.moment:.4g} A·m², {mass_of(magnet)}")
+        figure.suptitle(f"{self._name()}: {magnet.moment:.4g} A·m², {mass_of(magnet)}")
         write_bytes(picture, png_bytes(figure, 120.0))
 
 

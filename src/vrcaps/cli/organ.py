@@ -83,7 +83,8 @@ class Inspect:
     """Mucosa of `vrcaps organ list` to apply to a mesh file in the figure."""
 
     picture: Path | None = None
-    """Figure to write; by default <name>-overview.png in the working directory."""
+    """Figure to write; by default <file>-overview.png, or <name>-<seed>-overview.png of a generated
+    organ, in the working directory."""
 
     def run(self) -> None:
         """Inspect and report."""
@@ -94,7 +95,12 @@ class Inspect:
             organ = self._load()
         for line in lesion_lines(organ.metadata.get("lesions", []), organ.centerline.length):
             console.print(f"Lesion {line}.")
-        report_organ(organ, picture or Path(f"{organ.name}-overview.png"))
+        report_organ(organ, picture or Path(f"{self._stem()}-overview.png"))
+
+    def _stem(self) -> str:
+        """Start of the default name of the picture."""
+        is_file = isinstance(organ_named(self.organ), OrganFile)
+        return Path(self.organ).stem if is_file else f"{self.organ}-{self.seed or 0}"
 
     def _load(self) -> OrganSurface:
         from vrcaps.anatomy.catalog import generate_organ

@@ -1,4 +1,4 @@
-"""Worker processes that end with their parent, and file locks that end with their process."""
+"""Worker processes that end with their parent, locks that end with their process, progress."""
 
 from __future__ import annotations
 
@@ -22,6 +22,13 @@ from typing import Any
 from vrcaps.core.errors import InputError, StorageError
 
 _PR_SET_PDEATHSIG = 1
+
+ProgressReport = Callable[[int, int], None]
+"""Function that is called with the number of done items and the total."""
+
+
+def no_report(done: int, total: int) -> None:
+    """Ignore progress; the default of functions that report it."""
 
 
 class _EndsWithParent:

@@ -117,11 +117,21 @@ def require_same(out: Path, resolved: ResolvedScenario) -> None:
     """
     if not (out / EPISODE_JSON).exists():
         return
-    if read_head(LocalFiles(out)).get("scenario") != scenario_to_plain(resolved.scenario):
+    recorded = read_head(LocalFiles(out)).get("scenario")
+    if difference := _difference(recorded or {}, scenario_to_plain(resolved.scenario)):
         raise InputError(
-            f"{out} contains an episode of a different scenario. Give a new or empty folder; "
-            f"to resume that episode, record {out / EPISODE_JSON}."
+            f"{out} contains an episode of a different scenario: {difference}. Give a new or "
+            f"empty folder; to resume that episode, record {out / EPISODE_JSON}."
         )
+
+
+def _difference(old: Any, new: Any, at: str = "") -> str:
+    """First value that differs in two plain trees, with its path; empty if they are equal."""
+    if not (isinstance(old, dict) and isinstance(new, dict)):
+        return "" if old == new else f"{at} is {old!r:.60}, not {new!r:.60}"
+    paths = {key: f"{at}.{key}" if at else key for key in {**old, **new}}
+    differences = (_difference(old.get(key), new.get(key), path) for key, path in paths.items())
+    return next(filter(None, differences), "")
 
 
 def begin_episode(out: Path, head: dict[str, Any]) -> None:

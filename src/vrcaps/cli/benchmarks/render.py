@@ -37,6 +37,7 @@ from vrcaps.cli.benchmarks.stage import (
 )
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.core.errors import UnknownNameError
+from vrcaps.core.processes import ProgressReport
 from vrcaps.render.renderer import DEFAULT_CHANNELS, Renderer
 from vrcaps.render.settings import RenderSettings
 
@@ -283,7 +284,7 @@ def measure(extent: Extent, *, only: Sequence[str]) -> Report:
     )
 
 
-def _counter(advance: Callable[[int, int], None], total: int) -> Callable[[], None]:
+def _counter(advance: ProgressReport, total: int) -> Callable[[], None]:
     done = iter(range(1, total + 1))
     return lambda: advance(next(done), total)
 

@@ -11,7 +11,7 @@ import pytest
 
 import vrcaps
 from tests.support.waiting import WATCHDOG
-from vrcaps.cli import main
+from vrcaps.cli import console, main
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.files import files_in
 from vrcaps.data.store import open_store, read_at_once
@@ -109,6 +109,24 @@ def test_a_source_shows_how_many_recordings_are_read(whole):
     sequences = read_sources([str(whole)], lambda *counts: shown.append(counts))
     assert len(sequences) == 16
     assert shown == [(done, 8) for done in range(1, 9)]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "dataset composite {0} --into {0} --out {1}",
+        "predict segmentation --images {0} --weights {0}/weights.safetensors --out {1}",
+    ],
+)
+def test_a_command_shows_how_many_recordings_are_read(
+    whole, command, tmp_path, monkeypatch, capsys
+):
+    """Both then stop: the data have no twins, and the file holds no weights."""
+    monkeypatch.setattr(console, "PERIOD", 0.0)
+    monkeypatch.setattr("vrcaps.learn.hub.find_weights", lambda *_: tmp_path / "none.safetensors")
+    with pytest.raises(SystemExit, match="2"):
+        main(command.format(whole, tmp_path / "out").split())
+    assert "reading: 8/8 after" in capsys.readouterr().err
 
 
 class Meeting:

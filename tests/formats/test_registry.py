@@ -135,6 +135,8 @@ def test_a_folder_of_episodes_is_a_source(pinhole_episode, tmp_path):
     for name in ("b", "a"):
         shutil.copytree(pinhole_episode.path, tmp_path / name)
         (tmp_path / name / "sheet.png").write_bytes(b"no image")
-    first, second = read_sources([str(tmp_path)])
+    shown: list[tuple[int, int]] = []
+    first, second = read_sources([str(tmp_path)], lambda *counts: shown.append(counts))
+    assert shown == [(1, 2), (2, 2)]
     assert len(first) == len(second) == len(pinhole_episode)
     assert np.array_equal(first.image("rgb", 0), pinhole_episode.image("front", "rgb", 0))

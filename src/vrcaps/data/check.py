@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import multiprocessing
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from vrcaps.core.files import files_in, scratch_folder
-from vrcaps.core.processes import end_with_parent
+from vrcaps.core.processes import ProgressReport, end_with_parent, no_report
 from vrcaps.data.card import read_plan_of
 from vrcaps.data.ledger import ABOUT, EPISODES, entries, failures
 from vrcaps.data.store import LocalStore, Store, open_store, read_at_once
@@ -26,7 +26,7 @@ _Entry = Mapping[str, Any]
 
 def check_dataset(
     url: str | Path,
-    progress: Callable[[int, int], None] | None = None,
+    progress: ProgressReport = no_report,
     *,
     checksums_only: bool = False,
     workers: int = 0,
@@ -58,8 +58,7 @@ def check_dataset(
         jobs.append(_Job(str(url), name, entry["files"], organ, checksums_only or organ in damaged))
     for done, faults_of_job in enumerate(_all_checked(jobs, workers), 1):
         faults += faults_of_job
-        if progress is not None:
-            progress(done, len(jobs))
+        progress(done, len(jobs))
     return [*faults, *_missing(store, units, len(recorded))]
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.data.ledger import ABOUT, EPISODES, PLAN, complete_units, read_entry, read_plain_plan
 from vrcaps.data.store import Store, episode_files, open_store, read_at_once
 from vrcaps.recording.episode import Episode, read_episode
@@ -91,7 +92,7 @@ class Dataset:
         self,
         split: str | None = None,
         camera: str | None = None,
-        progress: Callable[[int, int], None] = lambda done, total: None,
+        progress: ProgressReport = no_report,
     ) -> tuple[FrameSequence, ...]:
         """Return the frame sequences: one for each camera of each recording.
 
@@ -139,7 +140,7 @@ def sequences_of(
     *,
     camera: str | None = None,
     split: str | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: ProgressReport = no_report,
 ) -> tuple[FrameSequence, ...]:
     """Frame sequences of an episode or of the complete recordings of a data set.
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
 
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import cache_in, files_in, scratch_folder
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.data.card import duration_text, size_text
 from vrcaps.data.units import Unit, Units
 from vrcaps.organ.cache import short_lived_organs
@@ -68,7 +69,7 @@ def num_frames(units: Units, numbers: Sequence[int]) -> int:
 def estimate(
     units: Units,
     numbers: Sequence[int],
-    progress: Callable[[int, int], None] = lambda _done, _total: None,
+    progress: ProgressReport = no_report,
 ) -> Estimate:
     """Measure a few frames of each kind of recording and extrapolate.
 
@@ -160,7 +161,7 @@ def _organ_of(unit: Unit) -> tuple[object, ...]:
 
 
 def _measured(
-    units: Mapping[str, Unit], scratch: Path, progress: Callable[[int, int], None]
+    units: Mapping[str, Unit], scratch: Path, progress: ProgressReport
 ) -> dict[str, _Costs]:
     """Costs of some recordings; those of the same kind of organ share one patient.
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 from vrcaps.core.build_info import made_here
 from vrcaps.core.errors import StorageError, require
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.data.card import write_card
 from vrcaps.data.ledger import (
     complete_units,
@@ -45,7 +46,7 @@ def make_dataset(
     *,
     numbers: Sequence[int] | None = None,
     runner: Runner | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: ProgressReport = no_report,
     source: str = "PLAN",
 ) -> Made:
     """Record the incomplete units of a plan; the same plan gives the same bytes.
@@ -82,8 +83,7 @@ def make_dataset(
                 failed[name] = outcome.fault
             if outcome.fault is not None or name in earlier:
                 _note(store, name, outcome, job)
-            if progress is not None:
-                progress(done, len(chosen))
+            progress(done, len(chosen))
     if len(complete_units(store)) + len(failures(store)) == len(units):
         write_card(store)
     tidy_staging(store)

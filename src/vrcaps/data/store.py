@@ -26,7 +26,7 @@ from vrcaps.core.errors import InputError, StorageError, require
 from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import remove_stale, sync_folder, temporary_beside
 from vrcaps.core.names import regular
-from vrcaps.core.processes import FolderInUseError, file_lock
+from vrcaps.core.processes import FolderInUseError, ProgressReport, file_lock, no_report
 from vrcaps.organ.organ_file import organ_glb
 from vrcaps.organ.surface import OrganSurface, organ_sha256
 from vrcaps.recording.layout import SHARED_ORGANS, EpisodeFiles, LocalFiles, read_head
@@ -250,7 +250,7 @@ def episode_files(store: Store, folder: str = ".") -> EpisodeFiles:
 def read_at_once(
     read: Callable[[Item], Result],
     items: Collection[Item],
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: ProgressReport = no_report,
 ) -> list[Result]:
     """Read several items at once; results are in the order of the items.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -13,8 +13,10 @@ import numpy as np
 from vrcaps.core.errors import InputError, UnknownNameError, reading
 from vrcaps.core.files import atomic_folder
 from vrcaps.core.names import listed, require_links_inside
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.data.dataset import sequences_of
 from vrcaps.data.ledger import PLAN
+from vrcaps.data.store import read_at_once
 from vrcaps.formats.format import FORMATS, Format, NamedByFolder, require_channels
 from vrcaps.formats.shared.stored_images import IMAGES
 from vrcaps.recording.frame_sequence import CAMERA_POSE, FrameSequence
@@ -26,7 +28,7 @@ def export(
     sequences: Sequence[FrameSequence],
     out: str | Path,
     *,
-    progress: Callable[[int, int], None] | None = None,
+    progress: ProgressReport = no_report,
 ) -> Path:
     """Write sequences in a format; the folder appears when all files are written.
 
@@ -54,8 +56,7 @@ def export(
     def advance() -> None:
         nonlocal done
         done += 1
-        if progress is not None:
-            progress(done, total)
+        progress(done, total)
 
     if isinstance(form, NamedByFolder):
         form = form.for_folder(out)
@@ -142,16 +143,15 @@ def _require_rising_times(sequence: FrameSequence) -> None:
         )
 
 
-def read_source(
-    text: str, progress: Callable[[int, int], None] = lambda done, total: None
-) -> tuple[FrameSequence, ...]:
+def read_source(text: str, progress: ProgressReport = no_report) -> tuple[FrameSequence, ...]:
     """Return the sequences of a source.
 
     Args:
         text: Folder or URL of an episode or a data set; a folder of episodes or of images; or
             ``KIND:FOLDER`` for a folder in the format KIND of `vrcaps export`, such as
             ``c3vd:/data/c3vd``.
-        progress: Called with the number of read recordings of a data set and the total.
+        progress: Called with the number of read recordings of a data set, or episodes of a folder,
+            and the total.
 
     Raises:
         InputError: If it cannot be read.
@@ -163,7 +163,8 @@ def read_source(
     if not folder.is_dir() or any((folder / name).exists() for name in (EPISODE_JSON, PLAN)):
         return sequences_of(text, progress=progress)
     if episodes := [head.parent for head in listed(folder, f"*/{EPISODE_JSON}")]:
-        return tuple(sequence for one in episodes for sequence in sequences_of(str(one)))
+        groups = read_at_once(sequences_of, episodes, progress)
+        return tuple(sequence for sequences in groups for sequence in sequences)
     return read_format("images", text) if _holds_images(folder) else sequences_of(text)
 
 
@@ -174,7 +175,7 @@ def _holds_images(folder: Path) -> bool:
 
 
 def read_sources(
-    texts: Sequence[str], progress: Callable[[int, int], None] = lambda done, total: None
+    texts: Sequence[str], progress: ProgressReport = no_report
 ) -> tuple[FrameSequence, ...]:
     """Return the sequences of all sources, see `read_source`.
 

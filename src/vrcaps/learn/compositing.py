@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
@@ -29,6 +29,7 @@ from vrcaps.core.errors import InputError, require
 from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import atomic_folder
 from vrcaps.core.geometry import smoothstep
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.learn.augment import (
     WALL,
     Fluid,
@@ -254,7 +255,7 @@ def write_composites(
     out: Path,
     settings: CompositeSettings | None = None,
     *,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: ProgressReport = no_report,
 ) -> dict[str, int]:
     """Write a folder of composites: images and masks by kind of lesion, and normal ones.
 

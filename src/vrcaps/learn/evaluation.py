@@ -16,6 +16,7 @@ import numpy as np
 from vrcaps.config.plain_files import read_plain
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import write_json
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.learn.checkpoint import TrainedNetwork
 from vrcaps.learn.perturbation import PERTURBATIONS
 from vrcaps.learn.samples import Samples, batch_of, frame_groups
@@ -267,7 +268,7 @@ def perturbed(
     trained: TrainedNetwork,
     samples: Samples,
     *,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: ProgressReport = no_report,
 ) -> dict[str, dict[str, float]]:
     """Main metric of a network and of the baselines on perturbed frames.
 

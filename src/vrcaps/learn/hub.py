@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from http import HTTPStatus
@@ -24,6 +24,7 @@ from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.errors import InputError, StorageError, UnknownNameError, reason_of, require
 from vrcaps.core.files import cache_folder, file_sha256, write_bytes, write_json
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.data.store import open_store
 
 INDEX, VARIABLE, SUFFIX = "index.json", "VRCAPS_WEIGHTS", ".safetensors"
@@ -128,7 +129,7 @@ def pull(
     names: Sequence[str] = (),
     *,
     folder: Path | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: ProgressReport = no_report,
 ) -> tuple[PublishedWeights, ...]:
     """Copy published weights and their cards from a folder or URL, and check their checksums.
 
@@ -160,8 +161,7 @@ def pull(
         _copy(source, entry, folder)
         add_to_index(folder, entry)
         done += entry.bytes
-        if progress is not None:
-            progress(done, total)
+        progress(done, total)
     return entries
 
 

@@ -15,6 +15,7 @@ from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError, reason_of
 from vrcaps.core.files import atomic_folder, write_bytes, write_csv
 from vrcaps.core.names import inside
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.formats.detection.image_folders import file_name
 from vrcaps.formats.io import read_source
 from vrcaps.learn.checkpoint import TrainedNetwork
@@ -38,7 +39,12 @@ _SHEET_ROWS = 12
 
 
 def images_of(
-    source: str, task: str, capsule: str = "", field_of_view: float | None = None
+    source: str,
+    task: str,
+    capsule: str = "",
+    field_of_view: float | None = None,
+    *,
+    progress: ProgressReport = no_report,
 ) -> tuple[FrameSequence, ...]:
     """Read the input images of a prediction and check them before any network is loaded.
 
@@ -47,6 +53,7 @@ def images_of(
         task: Name of the task.
         capsule: Name or file of the capsule whose first camera took images without a calibration.
         field_of_view: Angle across the picture [rad] of an assumed lens instead.
+        progress: As in `read_source`.
 
     Raises:
         InputError: If there are no images, the task needs a lens and there is none, or the camera
@@ -58,7 +65,7 @@ def images_of(
     if field_of_view is not None:
         assumed_camera(1, 1, field_of_view)
     sequences = tuple(
-        one if one.camera else replace(one, camera=camera) for one in read_source(source)
+        one if one.camera else replace(one, camera=camera) for one in read_source(source, progress)
     )
     cls = TASKS[task]
     for one in sequences:
@@ -76,7 +83,7 @@ def predict(
     out: Path,
     *,
     field_of_view: float | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: ProgressReport = no_report,
 ) -> dict[str, str]:
     """Write the prediction for each image: maps of its size under its name, or a row of a table.
 
@@ -108,7 +115,7 @@ def _write_predictions(
     sequences: tuple[FrameSequence, ...],
     out: Path,
     field_of_view: float | None,
-    progress: Callable[[int, int], None],
+    progress: ProgressReport,
 ) -> dict[str, str]:
     """Write the predictions into a folder; return the unreadable images with the reason."""
     frames = [(one, index) for one in sequences for index in range(len(one))]

@@ -10,7 +10,7 @@ signs, so that one hash gives the hashes of all eight orientations of an image.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -21,6 +21,7 @@ from torch import Tensor
 
 from vrcaps.core import rng
 from vrcaps.core.errors import InputError, reason_of
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.learn.perturbation import Perturbation
 from vrcaps.learn.task import Batch, Sample, Task
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -252,7 +253,7 @@ def near_duplicates(first: Hashes, second: Hashes, near: float = NEAR) -> Int[np
 
 
 def without_duplicates(
-    samples: Samples, others: Samples, *, progress: Callable[[int, int], None] | None = None
+    samples: Samples, others: Samples, *, progress: ProgressReport = no_report
 ) -> tuple[Samples, dict[str, str]]:
     """Remove the training frames that are near-duplicates of validation or test frames.
 
@@ -279,8 +280,7 @@ def without_duplicates(
     hashes = []
     for done, (sequence, index) in enumerate(frames):
         hashes.append(_hash_of(sequence, index))
-        if progress is not None:
-            progress(done + 1, len(frames))
+        progress(done + 1, len(frames))
     read = [k for k, one in enumerate(hashes) if one is not None]
     first = [k for k in read if k < len(known)]
     second = [k for k in read if k >= len(known)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +17,7 @@ from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import atomic_folder
 from vrcaps.core.geometry import quaternion_from_matrix
 from vrcaps.core.names import require_dataset_id
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.policy.evaluation import (
     EpisodeCurves,
@@ -68,7 +69,7 @@ def evaluate(
     settings: EnvSettings,
     plan: Plan,
     evaluation: Evaluation,
-    progress: Callable[[int, int], None] | None = None,
+    progress: ProgressReport = no_report,
 ) -> None:
     """Run all episodes that are missing from the folder.
 
@@ -80,8 +81,7 @@ def evaluate(
         progress: Called with the number of completed episodes and the total.
     """
     total, num_organs = plan.seeds * plan.episodes, len(settings.organs)
-    if progress is not None:
-        progress(len(evaluation.done), total)
+    progress(len(evaluation.done), total)
     for number, organ in enumerate(settings.organs):
         done = evaluation.done
         trials = [t for t in plan.trials(number, num_organs) if t not in done]
@@ -95,8 +95,7 @@ def evaluate(
         for first in range(0, len(trials), envs.num_envs):
             some = trials[first : first + envs.num_envs]
             evaluation.add(*_run(policy, envs, some))
-            if progress is not None:
-                progress(len(evaluation.done), total)
+            progress(len(evaluation.done), total)
 
 
 def organ_name(organ: Any) -> str:

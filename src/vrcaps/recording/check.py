@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +13,7 @@ from vrcaps import _core
 from vrcaps.camera.camera import Camera, camera_rays
 from vrcaps.core.errors import InputError, VrcapsError, reason_of
 from vrcaps.core.geometry import rotate_vectors, wall_of
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.core.units import UM
 from vrcaps.lumen.lumen_contents import CHYME
 from vrcaps.mesh.mesh import Mesh
@@ -55,9 +56,7 @@ class Problem:
         return f"{self.where}: {self.what}"
 
 
-def check_episode(
-    path: str | Path, *, progress: Callable[[int, int], None] | None = None
-) -> list[Problem]:
+def check_episode(path: str | Path, *, progress: ProgressReport = no_report) -> list[Problem]:
     """Return all faults of an episode; none if every file exists, is complete and consistent.
 
     An interrupted recording is the only fault reported; its files are written when it is resumed.
@@ -93,8 +92,7 @@ def check_episode(
         wall = wall if frame in cast_frames else None
         for camera in episode.cameras:
             problems += _check_frame(episode, camera, frame, rays[camera.name], wall)
-        if progress is not None:
-            progress(frame + 1, len(episode))
+        progress(frame + 1, len(episode))
     return problems
 
 

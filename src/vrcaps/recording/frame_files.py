@@ -19,6 +19,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.camera.camera import MAX_PIXELS
 from vrcaps.core.files import atomic_write, decode_array
+from vrcaps.core.processes import ProgressReport
 from vrcaps.organ.organ_file import split_at_seams
 
 if TYPE_CHECKING:
@@ -135,7 +136,7 @@ class FrameWriter:
         ...     writer.finish()
     """
 
-    def __init__(self, progress: Callable[[int, int], None], total: int) -> None:
+    def __init__(self, progress: ProgressReport, total: int) -> None:
         """Initialize; no thread starts yet.
 
         Args:

@@ -17,6 +17,7 @@ import numpy as np
 from vrcaps.camera_pipeline.capsule_cameras import CAPTURED, CapsuleCameras
 from vrcaps.core.errors import StorageError
 from vrcaps.core.files import remove_stale, sync_folder, write_bytes, write_json
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.frame_files import (
     Background,
@@ -71,7 +72,7 @@ def record(
     scenario: Scenario,
     out: str | Path,
     *,
-    progress: Callable[[int, int], None] | None = None,
+    progress: ProgressReport = no_report,
     simulated: Callable[[float, float], None] | None = None,
     store_organ: Callable[[OrganSurface], str] | None = None,
 ) -> Path:
@@ -107,7 +108,7 @@ def record(
             head = make_head(resolved.scenario, unit, motion.notes, organ_path)
             begin_episode(out, head)
             remove_damaged(read_episode(out, unfinished=True))
-            run = _Recording(out, resolved, model, motion, progress or _silent, simulated)
+            run = _Recording(out, resolved, model, motion, progress, simulated)
             is_missing = store_organ is None and not (out / ORGAN_GLB).exists()
             organ = Background(partial(_write_organ, out, model) if is_missing else _nothing)
             _write_frames(out, run, organ)
@@ -126,7 +127,7 @@ class _Recording:
     resolved: ResolvedScenario
     model: Model
     motion: Motion
-    progress: Callable[[int, int], None]
+    progress: ProgressReport
     simulated: Callable[[float, float], None] | None
     present: set[Path] = field(init=False)
     wall_vertices: np.ndarray = field(init=False)
@@ -170,10 +171,6 @@ class _Recording:
             return None
         is_whole = all(self.is_there(frame) for frame in range(checkpoint.motion.frame + 1))
         return checkpoint if is_whole else None
-
-
-def _silent(done: int, total: int) -> None:
-    """Ignore progress."""
 
 
 def _nothing() -> None:

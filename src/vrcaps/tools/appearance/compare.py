@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +13,7 @@ import numpy as np
 
 from vrcaps.core.errors import InputError
 from vrcaps.core.files import write_bytes, write_csv, write_json
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.core.rng import stream
 from vrcaps.metrics.appearance import (
     KernelDistance,
@@ -95,9 +96,7 @@ class Comparison:
         return self.distances["pooled"].value
 
 
-def describe(
-    images: ImageSet, *, progress: Callable[[int, int], None] | None = None
-) -> DescribedSet:
+def describe(images: ImageSet, *, progress: ProgressReport = no_report) -> DescribedSet:
     """Compute the statistics and features of a set.
 
     Raises:

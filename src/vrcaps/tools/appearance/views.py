@@ -6,7 +6,7 @@ network, so they check the distances between features of EfficientNet-Lite0.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -16,6 +16,7 @@ import scipy
 
 from vrcaps.core.color import lab_from_srgb, linear_from_srgb
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.core.rng import stream
 from vrcaps.metrics.appearance import at_most_per_group
 
@@ -99,7 +100,7 @@ def read_image_set(
     *,
     max_images: int,
     seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: ProgressReport = no_report,
 ) -> ImageSet:
     """Read views of sequences: at most `max_images`, drawn at random from all patients.
 
@@ -125,8 +126,7 @@ def read_image_set(
     for done, index in enumerate(drawn):
         sequence, frame = frames[index]
         views.append(central_view(sequence.image("rgb", frame)))
-        if progress is not None:
-            progress(done + 1, len(drawn))
+        progress(done + 1, len(drawn))
     names = tuple(f"{frames[k][0].name}/{frames[k][1]}" for k in drawn)
     return ImageSet(name, np.stack(views), groups[drawn], names)
 
@@ -263,7 +263,7 @@ _BATCH = 16
 def view_features(
     views: UInt8[np.ndarray, "n s s 3"],
     *,
-    progress: Callable[[int, int], None] | None = None,
+    progress: ProgressReport = no_report,
 ) -> dict[str, Float[np.ndarray, "n d"]]:
     """Features of views by level.
 
@@ -296,8 +296,7 @@ def view_features(
                     moments = torch.cat([maps.mean((2, 3)), maps.std((2, 3))], 1)
                     rows[f"block {index + 1}"].append(moments.numpy())
             rows["pooled"].append(network.bn2(network.conv_head(maps)).mean((2, 3)).numpy())
-            if progress is not None:
-                progress(min(first + _BATCH, len(views)), len(views))
+            progress(min(first + _BATCH, len(views)), len(views))
     return {level: np.concatenate(parts).astype(float) for level, parts in rows.items()}
 
 

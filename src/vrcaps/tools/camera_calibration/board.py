@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 
 from vrcaps.core.errors import InputError, import_extra, require
+from vrcaps.core.processes import ProgressReport, no_report
 
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
@@ -199,7 +200,7 @@ class BoardView:
 
 
 def find_views(
-    photos: Sequence[Photo], board: Board, progress: Callable[[int, int], None] | None = None
+    photos: Sequence[Photo], board: Board, progress: ProgressReport = no_report
 ) -> tuple[list[BoardView], list[str]]:
     """Detect the board in each photograph; return the views and the names of photographs without.
 
@@ -221,8 +222,7 @@ def find_views(
             missed.append(photo.name)
         else:
             views.append(BoardView(photo.name, *corners))
-        if progress is not None:
-            progress(k + 1, len(photos))
+        progress(k + 1, len(photos))
     names = {view.name for view in views[:_NUM_CHECKED]}
     _check_whole([photo for photo in photos if photo.name in names], board)
     if len(views) < MIN_VIEWS:

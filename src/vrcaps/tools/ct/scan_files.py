@@ -15,6 +15,7 @@ import numpy as np
 
 from vrcaps.core.errors import InputError, narrow, reading
 from vrcaps.core.names import inside
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.core.units import MM
 from vrcaps.tools.ct.dicom_headers import Listing, Series, Slice, inverted_sum, list_series
 from vrcaps.tools.ct.volume import (
@@ -29,7 +30,6 @@ from vrcaps.tools.ct.volume import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from jaxtyping import Float
@@ -40,7 +40,7 @@ _MAX_PIXELS = 4096  # maximum side of a slice; scanners produce up to 2048
 
 
 def read_dicom(
-    folder: Path, *, series: str | None = None, progress: Callable[[int, int], None] | None = None
+    folder: Path, *, series: str | None = None, progress: ProgressReport = no_report
 ) -> Volume:
     """Read the scan in a folder and its subfolders, slice by slice, in Hounsfield units.
 
@@ -66,8 +66,7 @@ def read_dicom(
     values = np.empty((len(slices), chosen.rows, chosen.columns), np.int16)
     for number, one in enumerate(slices):
         values[number] = hounsfield(_read_pixels(one.path), one.path)
-        if progress is not None:
-            progress(number + 1, len(slices))
+        progress(number + 1, len(slices))
     transform = np.eye(4)
     transform[:3, 0], transform[:3, 1:3] = step, chosen.axes
     transform[:3, 3] = slices[0].position
@@ -277,7 +276,7 @@ def read_volume(
     *,
     series: str | None = None,
     is_label_map: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: ProgressReport = no_report,
 ) -> Volume:
     """Read a scan or label map, 16-bit, in the patient frame (LPS, meters).
 

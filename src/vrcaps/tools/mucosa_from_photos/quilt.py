@@ -13,11 +13,10 @@ import numpy as np
 import scipy
 
 from vrcaps.core.color import lab_from_srgb
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.tools.photos import highlights
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from jaxtyping import Bool, Float, Int, UInt8
 
 _TOLERANCE = 0.15  # maximum relative excess of a patch's error over the least
@@ -66,7 +65,7 @@ def quilt(
     layout: Quilt,
     rng: np.random.Generator,
     *,
-    progress: Callable[[int, int], None] | None = None,
+    progress: ProgressReport = no_report,
 ) -> Float[np.ndarray, "size size c"]:
     """Synthesize a tileable texture of size × size.
 
@@ -96,8 +95,7 @@ def quilt(
         patch = search.choose(there, overlaps)
         alpha = _join(there, patch, overlaps)[..., None]
         canvas[np.ix_(rows, columns)] = there + alpha * (patch - there)
-        if progress is not None:
-            progress(number + 1, total)
+        progress(number + 1, total)
     # The edges then run through the middle of patches, without joins along them.
     return np.roll(canvas, -(layout.patch // 2), axis=(0, 1))
 

@@ -10,6 +10,7 @@ import scipy
 
 from vrcaps.core.color import LUMINANCE, log_luminance, srgb_from_log_linear
 from vrcaps.core.errors import InputError, import_extra
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.core.rng import stream
 from vrcaps.core.units import MM
 from vrcaps.mucosa.texture import HEIGHT_STEP, MucosaTexture
@@ -26,7 +27,6 @@ from vrcaps.tools.mucosa_from_photos.vessels import VesselPiece, VesselPlacement
 from vrcaps.tools.report import make_figure
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from jaxtyping import Float
@@ -121,7 +121,7 @@ def make_texture(
     options: TextureOptions,
     *,
     seed: int,
-    progress: Callable[[int, int], None] | None = None,
+    progress: ProgressReport = no_report,
 ) -> TextureResult:
     """Synthesize a tileable mucosa texture from endoscopic photographs.
 
@@ -138,8 +138,7 @@ def make_texture(
     """
     check_scale(scale)
     _check(options, photos, seed)
-    report = progress or (lambda done, total: None)
-    chosen, others = _chosen(photos, scale, options, report)
+    chosen, others = _chosen(photos, scale, options, progress)
     rng = stream(seed, "mucosa-from-photos")
     parts, doubtful = source_patches(chosen, keep_vessels=not options.vessels)
     layout = Quilt.of_side(len(parts[0]))
@@ -151,7 +150,7 @@ def make_texture(
         options.size,
         layout,
         rng,
-        progress=lambda done, total: report(total // 2 + done, total // 2 + total),
+        progress=lambda done, total: progress(total // 2 + done, total // 2 + total),
     )
     return _finish(ground, parts, chosen, others, options, rng=rng, seed=seed)
 
@@ -160,7 +159,7 @@ def _chosen(
     photos: list[Photo],
     scale: PhotoScale,
     options: TextureOptions,
-    report: Callable[[int, int], None],
+    report: ProgressReport,
 ) -> tuple[list[PhotoAnalysis], list[str]]:
     """Choose the photographs to use, analyzed, best first; also return the names of the others.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +12,7 @@ import numpy as np
 from vrcaps.core.color import log_linear_from_srgb, luminance
 from vrcaps.core.errors import InputError, reading
 from vrcaps.core.names import listed
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.tools.photos import field_of_view
 
 if TYPE_CHECKING:
@@ -117,9 +118,7 @@ class Frames:
         return Frames(self.rgb[keep], self.linear[keep], self.field[keep], self.exposed[keep])
 
 
-def make_frames(
-    photos: Sequence[Photo], progress: Callable[[int, int], None] | None = None
-) -> Frames:
+def make_frames(photos: Sequence[Photo], progress: ProgressReport = no_report) -> Frames:
     """Convert frames to linear light and compute their masks.
 
     Args:
@@ -141,8 +140,7 @@ def make_frames(
                 "Allowed: frames of one camera, all of one size."
             )
         field.append(_field(photo.rgb))
-        if progress is not None:
-            progress(k + 1, len(photos))
+        progress(k + 1, len(photos))
     rgb, seen = np.stack([photo.rgb for photo in photos]), np.stack(field)
     if not seen.any():
         raise InputError("The frames are black. Give frames that show the wall.")

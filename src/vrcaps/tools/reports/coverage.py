@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ import numpy as np
 from vrcaps.core.errors import InputError, import_extra
 from vrcaps.core.files import write_bytes
 from vrcaps.core.geometry import transform_points, triangle_areas, wall_of
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.core.units import CM
 from vrcaps.metrics.coverage import (
     COVERAGE_LEVELS,
@@ -80,7 +80,7 @@ class EpisodeCoverage:
 def episode_coverage(
     episode: Episode,
     criteria: CoverageCriteria | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: ProgressReport = no_report,
 ) -> EpisodeCoverage:
     """Measure the coverage of an episode over its frames, of all its cameras together.
 
@@ -116,8 +116,7 @@ def episode_coverage(
             seen = _seen(episode, camera, frame, criteria, len(organ.faces))
             near = vertices_in_frustum(camera, poses[index], at_rest, criteria.max_depth)
             coverage.add({**seen, "frustum": near}, index)
-            if progress is not None:
-                progress(index + 1, len(episode))
+            progress(index + 1, len(episode))
     return EpisodeCoverage(organ, episode.times, coverage, criteria)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ import numpy as np
 
 from vrcaps.core.files import write_bytes
 from vrcaps.core.geometry import invert, matrix_from_quaternion, transform_from, wall_of
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.env.cameras import resized_camera
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points, wall_points
 from vrcaps.policy.evaluate import organ_name
@@ -37,9 +37,7 @@ _BACKGROUND, _TEXT = (18, 18, 22), (230, 230, 230)
 _SEEN, _CAPSULE = (85, 180, 105), (30, 90, 235)
 
 
-def write_run_video(
-    path: Path, subject: Subject, progress: Callable[[int, int], None] | None = None
-) -> None:
+def write_run_video(path: Path, subject: Subject, progress: ProgressReport = no_report) -> None:
     """Write a video of the median run of a subject, with the wall at rest.
 
     Args:
@@ -66,8 +64,7 @@ def write_run_video(
         pictures = [inside, *(view.at(first_seen <= number, pose) for view in views)]
         strip = _strip(curves, number, width)
         video.add([np.vstack([np.hstack(pictures), strip])])
-        if progress is not None:
-            progress(number + 1, len(poses))
+        progress(number + 1, len(poses))
     write_bytes(path, video.finish())
 
 

@@ -7,7 +7,6 @@ the camera rays, so any lens model works.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +16,7 @@ from vrcaps.camera.camera import Camera, in_image, pixel_grid, project_points, u
 from vrcaps.core.errors import InputError, import_extra, require
 from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.geometry import invert, transform_points
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.core.units import MM
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.recording.frame_sequence import FrameSequence
@@ -218,7 +218,7 @@ def fuse(
     sequence: FrameSequence,
     settings: FuseSettings,
     *,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: ProgressReport = no_report,
 ) -> tuple[Mesh, UInt8[np.ndarray, "n 3"]]:
     """Reconstruct the wall seen by a camera, in the world frame, with vertex colors.
 

@@ -18,6 +18,7 @@ from vrcaps.camera.camera import Camera, pixel_grid, unproject_pixels
 from vrcaps.core.errors import InputError
 from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.geometry import invert
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.tools.reconstruction.fusion.fuse import MIN_COSINE
 from vrcaps.tools.reconstruction.fusion.pose_adjustment import (
@@ -83,7 +84,7 @@ def estimated_poses(
     sequence: FrameSequence,
     settings: OdometrySettings,
     *,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: ProgressReport = no_report,
 ) -> Odometry:
     """Estimate camera poses for the largest connected part of a sequence.
 
@@ -169,7 +170,7 @@ def _pairs(
     views: Sequence[View],
     settings: OdometrySettings,
     tolerance: float,
-    progress: Callable[[int, int], None],
+    progress: ProgressReport,
 ) -> list[PosePair]:
     """Pairs of frames with the motion between them."""
     count = len(views)

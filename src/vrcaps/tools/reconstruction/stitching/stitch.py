@@ -15,7 +15,6 @@ homographies require.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import pi, radians
 from typing import TYPE_CHECKING, Annotated
@@ -25,6 +24,7 @@ import numpy as np
 from vrcaps.camera.camera import Camera, in_image, pixel_grid, project_points
 from vrcaps.core.errors import InputError
 from vrcaps.core.fields import Range, check_fields
+from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.formats.rectify import rectified, widest_field
 from vrcaps.recording.frame_sequence import FrameSequence
 from vrcaps.tools.reconstruction.matching import (
@@ -90,7 +90,7 @@ def stitch(
     sequence: FrameSequence,
     settings: StitchSettings,
     *,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: ProgressReport = no_report,
 ) -> Stitched:
     """Stitch the frames of a sequence into one wide image, with depth if it is known.
 

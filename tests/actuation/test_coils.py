@@ -202,7 +202,8 @@ def test_scenarios_hold_the_array():
     ("make", "message"),
     [
         (lambda: CoilSteering(coils="big"), "No coil array named 'big'. Known: table-3x3"),
-        (lambda: CoilSteering(coils=3), r"coils are of type int\. Allowed: a name \(table-3x3\)"),
+        (lambda: CoilSteering(coils=3), r"coils is 3\. Allowed: a string or a CoilArray"),
+        (lambda: read_coil_array(3), r"coils are of type int\. Allowed: a name \(table-3x3\)"),
         (lambda: CoilSteering((Currents(0.0, (1.0,)),)), r"entry 0 has 1 currents\. Allowed: 9"),
         (lambda: CoilArray(()), r"number of coils is 0\. Allowed: 1 to 64"),
         (lambda: replace(COIL, max_current=-1.0), r"max_current is -1\.0\. Allowed: above 0"),

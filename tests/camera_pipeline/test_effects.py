@@ -68,7 +68,7 @@ def test_an_effect_that_is_not_given_is_the_capsules_own() -> None:
         ("jpeg=\u0663", InputError, "Effect jpeg has the severity"),
         ("afr=6..2", InputError, "min_fps, max_fps is"),
         ("afr=often", InputError, "is 'often'. Allowed: adaptive_frame_rate=MIN..MAX"),
-        ("bayer=rgb", InputError, "pattern is 'rgb'. Allowed: rggb"),
+        ("bayer=rgb", UnknownNameError, "No pattern named 'rgb'. Known: bggr"),
     ],
 )
 def test_what_a_user_cannot_write(text: str, error: type[Exception], match: str) -> None:

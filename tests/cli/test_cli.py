@@ -109,7 +109,7 @@ def test_flags_reach_the_scenario() -> None:
     [
         (
             "--set render.mucus_film_um=-3",
-            "render: Mucus film is -3.0. Allowed: 0",
+            "render: mucus_film_um is -3.0. Allowed: 0",
         ),
         ("--set motion.drft=3", "Unknown key motion.drft. Allowed: start, end, speed"),
         ("--set frames", "--set is 'frames'. Allowed: PATH=VALUE, such as motion.speed=0.01."),

@@ -34,7 +34,7 @@ def test_effects_reach_the_scenario() -> None:
         ("glow=3", "No effect named 'glow'. Known: adaptive_frame_rate, ae"),
         ("bloom=7", "Effect bloom has the severity 7. Allowed: 0 to 4"),
         ("bloom", "Effect bloom has the severity ''. Allowed: bloom=0 to bloom=4"),
-        ("bayer=none", "BayerFilter's pattern is 'none'. Allowed: rggb"),
+        ("bayer=none", "No pattern named 'none'. Known: bggr, gbrg"),
     ],
 )
 def test_mistakes_end_in_one_line_and_status_2(

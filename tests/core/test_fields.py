@@ -1,7 +1,9 @@
 """Fields of settings: values of a wrong type are reported, files have checksums."""
 
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
@@ -9,15 +11,21 @@ import pytest
 
 from vrcaps.actuation.magnet_actuator import FreeActuator
 from vrcaps.actuation.magnet_pose_solver import Workspace
+from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera.camera import Camera, led_ring
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.camera_pipeline.effects import Effects, WhiteBalance
 from vrcaps.capsule.device import Device
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.fields import FileRef, Range, check_fields, file_ref, path_of, with_checksums
+from vrcaps.env.observations import ImageObservation
+from vrcaps.env.randomization import Randomization
 from vrcaps.learn.compositing import CompositeSettings
+from vrcaps.learn.tasks.depth import DepthTask
+from vrcaps.learn.tasks.segmentation import SegmentationTask
 from vrcaps.lesion import Polyp
+from vrcaps.lesion.mucosal import Ulcer
 from vrcaps.lumen.contents import Bubbles, Chyme, Contents, Liquid
 from vrcaps.motion.dynamics_settings import DynamicsSettings
 from vrcaps.render.settings import RenderSettings
@@ -28,9 +36,14 @@ from vrcaps.scenario.scenario import (
     scenario_to_plain,
 )
 from vrcaps.tissue.fem.deformation import FemDeformation
-from vrcaps.tissue.motility.motility import GiantContractions, Propulsion
+from vrcaps.tissue.motility.migrating_complex import ComplexStatistics
+from vrcaps.tissue.motility.motility import GiantContractions, Motility, Propulsion
 from vrcaps.tissue.tissue import Drag, SpringWall, WinklerFoundation
 from vrcaps.tools.ct.from_ct import WallOptions
+from vrcaps.tools.mucosa_from_photos.texture import TextureOptions
+from vrcaps.tools.mucosa_from_photos.vessels import VesselPlacement
+from vrcaps.world.control import Control
+from vrcaps.world.schedule import Flush, Wrench
 
 
 @dataclass(frozen=True)
@@ -80,6 +93,17 @@ class Settings:
     anything: Any = None
     factor: Literal[2, 4] = 2
     choice: Literal[0] | str | None = None
+    is_wet: bool = False
+    name: str = ""
+    leaf: Leaf = Leaf()
+    leaves: tuple[Leaf, ...] = ()
+    gains: tuple[Annotated[float, Range(0.0, 2.0)], ...] = ()
+    goal: Annotated[float, Range(0.0, 1.0)] | str = 1.0
+    spread: float | tuple[float, float] = 1.0
+    light: Literal["direct", "path"] = "direct"
+    path: Path | None = None
+    pair: tuple[str, int] = ("", 0)
+    table: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_fields(self, of="Settings")
@@ -102,6 +126,24 @@ class Settings:
         ({"color": (1.0, 2.0)}, "Settings' color is (1.0, 2.0). Allowed: 3 numbers."),
         ({"color": "abc"}, "Settings' color is 'abc'. Allowed: 3 numbers."),
         ({"sizes": (1, 2.5)}, "Settings' sizes is (1, 2.5). Allowed: whole numbers."),
+        ({"speed": True}, "Settings' speed is True. Allowed: a number."),
+        ({"speed": 10**400}, "Allowed: a number."),
+        ({"count": np.True_}, "Settings' count is True. Allowed: a whole number, 1 or more."),
+        ({"sizes": (True,)}, "Allowed: whole numbers."),
+        ({"is_wet": 1}, "Settings' is_wet is 1. Allowed: True or False."),
+        ({"name": 5}, "Settings' name is 5. Allowed: a string."),
+        ({"leaf": None}, "Settings' leaf is None. Allowed: a Leaf."),
+        ({"leaves": None}, "Settings' leaves is None. Allowed: Leaf objects."),
+        ({"leaves": ("a",)}, "Settings' leaves is ('a',). Allowed: Leaf objects."),
+        ({"gains": (1.0, 3.0)}, "gains is (1.0, 3.0). Allowed: numbers, 0 to 2."),
+        ({"goal": 1.5}, "Settings' goal is 1.5. Allowed: a string or a number, 0 to 1."),
+        ({"goal": None}, "Settings' goal is None. Allowed: a string or a number, 0 to 1."),
+        ({"spread": (1.0,)}, "spread is (1.0,). Allowed: a number or 2 numbers."),
+        ({"light": 5}, "Settings' light is 5. Allowed: direct, path."),
+        ({"path": 5}, "Settings' path is 5. Allowed: a path."),
+        ({"pair": ("a", "b")}, "Allowed: a tuple of a string, a whole number."),
+        ({"table": ()}, "Settings' table is (). Allowed: a mapping."),
+        ({"name": np.zeros((2, 2))}, "name is array([[0., 0.], [0., 0.]]). Allowed: a string."),
         ({"factor": 3}, "Settings' factor is 3. Allowed: 2, 4."),
         ({"factor": None}, "Settings' factor is None. Allowed: 2, 4."),
         ({"factor": "2"}, "Settings' factor is '2'. Allowed: 2, 4."),
@@ -112,6 +154,19 @@ def test_a_value_of_a_wrong_type_is_reported(given, allowed):
     with pytest.raises(InputError) as error:
         Settings(**given)
     assert str(error.value).endswith(allowed)
+
+
+def test_a_string_that_is_no_literal_is_an_unknown_name():
+    with pytest.raises(UnknownNameError, match=r"No light named 'pth'\. Known: direct, path\. Did"):
+        Settings(light=cast(Any, "pth"))
+
+
+def test_lists_become_tuples():
+    leaf = Leaf()
+    settings = Settings(
+        leaves=cast(Any, [leaf]), gains=cast(Any, np.ones(2)), pair=cast(Any, ["a", 1])
+    )
+    assert (settings.leaves, settings.gains, settings.pair) == ((leaf,), (1.0, 1.0), ("a", 1))
 
 
 def test_numbers_of_numpy_are_numbers():
@@ -170,8 +225,34 @@ def test_numbers_of_numpy_reach_files(tmp_path, monkeypatch):
         (Propulsion, "beta"),
         (GiantContractions, "rate"),
         (RenderSettings, "spp"),
+        (Flush, "duration"),
+        (Wrench, "force"),
+        (TextureOptions, "luminance"),
+        (VesselPlacement, "size_std"),
+        (Motility, "front"),
+        (ComplexStatistics, "reaching"),
+        (ImageObservation, "size"),
+        (Randomization, "mass"),
     ],
 )
 def test_settings_report_a_text_for_a_number(make, name):
     with pytest.raises(InputError, match=rf"{name} is 'abc'\. Allowed: .*number"):
         make(**{name: "abc"})
+
+
+@pytest.mark.parametrize(
+    ("make", "match"),
+    [
+        (lambda: MagnetSteering(waypoints=cast(Any, None)), "waypoints is None. Allowed: Waypoint"),
+        (lambda: DepthTask(backbone=cast(Any, "x")), "backbone is 'x'. Allowed: a Backbone"),
+        (lambda: SegmentationTask(classes=cast(Any, 5)), "classes is 5. Allowed: strings"),
+        (lambda: Ulcer(type=cast(Any, None)), "type is None. Allowed: aphthous, deep"),
+        (lambda: Scenario(motion=cast(Any, 5)), "motion is 5. Allowed: a MotionSettings"),
+        (lambda: Scenario(channels=cast(Any, "rgb")), "channels is 'rgb'. Allowed: strings"),
+        (lambda: Control(flush=cast(Any, "x")), "flush is x. Allowed: finite numbers"),
+        (lambda: Control(Ts_world_magnet=cast(Any, 5)), "is 5. Allowed: a list of poses"),
+    ],
+)
+def test_settings_report_a_value_of_another_class(make, match):
+    with pytest.raises(InputError, match=match):
+        make()

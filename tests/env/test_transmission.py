@@ -115,7 +115,7 @@ def test_settings_may_be_tables_and_nothing_else():
         InputError, match=r"Unknown key transmission\.delay\. Allowed: action_delay"
     ):
         small_settings(transmission={"delay": 3})
-    with pytest.raises(InputError, match=r"transmission is of type int\. Allowed: a Transmission"):
+    with pytest.raises(InputError, match=r"transmission is 3\. Allowed: a Transmission"):
         small_settings(transmission=3)
 
 

@@ -219,9 +219,9 @@ def test_harsh_input_gives_finite_light(rng: np.random.Generator) -> None:
 def test_wrong_settings() -> None:
     with pytest.raises(UnknownNameError, match=r"No light named 'sun'\. Known: direct, path"):
         RenderSettings(light="sun")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"Samples per pixel is 0\. Allowed: 1 to 2147483648"):
+    with pytest.raises(InputError, match=r"spp is 0\. Allowed: 1 to 2147483648"):
         RenderSettings(light="direct", spp=0)
-    with pytest.raises(InputError, match=r"Max bounces is 101\. Allowed: 1 to 100"):
+    with pytest.raises(InputError, match=r"max_bounces is 101\. Allowed: 1 to 100"):
         RenderSettings(light="direct", max_bounces=101)
-    with pytest.raises(InputError, match=r"Path seed is -1\. Allowed: 0 to 2\^64 − 1"):
+    with pytest.raises(InputError, match=r"path_seed is -1\. Allowed: 0 to 18446744073709551615"):
         RenderSettings(light="direct", path_seed=-1)

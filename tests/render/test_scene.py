@@ -93,7 +93,7 @@ def test_images_follow_thickness(organ: OrganSurface):
 
 
 def test_wrong_input(organ: OrganSurface):
-    with pytest.raises(InputError, match=r"Mucus film is -1\.0\. Allowed: 0 to 1000 \[µm\]\."):
+    with pytest.raises(InputError, match=r"mucus_film_um is -1\.0\. Allowed: 0 to 1000 µm\."):
         RenderSettings(light="direct", mucus_film_um=-1.0)
     with pytest.raises(
         InputError, match=r"shape has no appearance, so it cannot have a mucus film"

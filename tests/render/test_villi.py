@@ -133,7 +133,7 @@ def test_the_ileum_has_shorter_villi_than_the_jejunum():
 
 
 def test_wrong_input():
-    with pytest.raises(InputError, match="Villi"):
+    with pytest.raises(InputError, match="villi"):
         RenderSettings(villi=2.5)
     channels = _channels()
     with pytest.raises(ValueError, match="one size"):

@@ -1,4 +1,4 @@
-"""Types of a dataclass's fields: numbers and names with limits, and files with checksums.
+"""Types of a dataclass's fields: checked values with limits, and files with checksums.
 
 Limits are declared in the type and checked in the constructor; checksums let a recording be
 repeated from the same data.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from numbers import Real
@@ -56,41 +56,41 @@ class Range:
 
 
 def _text(limit: float) -> str:
-    return f"{limit:.12g}" if float(limit).is_integer() else f"{limit:.6g}"
+    if isinstance(limit, int):
+        return str(limit)
+    return f"{limit:.12g}" if limit.is_integer() else f"{limit:.6g}"
 
 
 def check_fields(instance: Any, of: str = "") -> None:
-    """Check that each field of numbers, or with a `Range` or a `Literal`, holds an allowed value.
+    """Check that each field of a dataclass holds a value of its type, within its `Range`, if any.
 
-    Call it in `__post_init__`. A field that may be None is not checked if it is; an infinite number
-    is outside any open range. NumPy's values become Python's, so that files can hold them.
+    Call it in `__post_init__`. Numbers, strings, booleans, literals, classes, tuples and unions of
+    these are checked; an infinite number is outside any open range, and a boolean is no number.
+    NumPy's values become Python's and lists tuples, so that files can hold them.
 
     Args:
         instance: The dataclass.
         of: Owner of the fields, for messages.
 
     Raises:
-        InputError: If a value is not a number, not an integer or out of range; states the field and
-            the allowed values.
+        InputError: If a value is of another type or out of range; states the field and the allowed
+            values.
         UnknownNameError: If a string is none of the literals.
     """
     owner = "" if not of else f"{of}' " if of.endswith("s") else f"{of}'s "
-    plain_fields(instance)
-    for name, limit in _limits(type(instance)):
-        value = getattr(instance, name)
-        if limit.words and not _are_numbers(value, limit):
-            limits = f", {limit.range_}" if limit.range_ else ""
-            raise InputError(f"{owner}{name} is {value!r}. Allowed: {limit.words}{limits}.")
-        if limit.count is not None and value is not None:
-            object.__setattr__(instance, name, plain_value(tuple(value)))
-            continue
-        if limit.range_ is not None and value is not None and value not in limit.range_:
-            raise InputError(f"{owner}{name} is {value}. Allowed: {limit.range_}.")
-        if limit.known and isinstance(value, str) and value not in limit.known:
-            raise UnknownNameError(name.replace("_", " "), value, limit.known)
-        if limit.whole and not (_is_number(value, limit) and value in limit.whole):
-            allowed = ", ".join(map(str, limit.whole))
-            raise InputError(f"{owner}{name} is {value!r}. Allowed: {allowed}.")
+    for name, kind in _kinds(type(instance)):
+        given = getattr(instance, name)
+        value = kind.converted(given)
+        if value is not given:
+            object.__setattr__(instance, name, value)
+        if not kind.holds(value):
+            if kind.names and isinstance(value, str):
+                raise UnknownNameError(name.replace("_", " "), value, kind.names)
+            given_text = " ".join(repr(value).split())
+            raise InputError(f"{owner}{name} is {given_text:.80}. Allowed: {kind.allowed}.")
+        if kind.range_ and not kind.contains(value):
+            allowed = kind.words if str(kind.range_) in kind.words else kind.range_
+            raise InputError(f"{owner}{name} is {value}. Allowed: {allowed}.")
 
 
 def plain_fields(instance: Any) -> None:
@@ -117,91 +117,151 @@ def _mapped(function: Callable[[Any], Any], items: tuple[Any, ...]) -> tuple[Any
 
 
 @dataclass(frozen=True)
-class _Limit:
-    """Allowed values of a field.
+class _Kind:
+    """Values of a type.
 
     Attributes:
-        is_optional: Whether it may be None.
-        words: Description of the numbers that it holds; empty if it may hold anything else.
-        is_whole: Whether they are whole.
-        count: Their number in a tuple, 0 for any; None for a single number.
+        words: Their description; empty if any value is allowed.
+        holds: Returns whether a value is one of them, apart from the range.
         range_: Range of a single number.
-        known: Allowed strings; empty for any.
-        whole: Allowed whole numbers of a `Literal`; empty for any.
+        names: The only strings among them; empty if there are none or any.
+        is_sequence: Whether a tuple is one of them.
     """
 
-    is_optional: bool
-    words: str
-    is_whole: bool
-    count: int | None
-    range_: Range | None
-    known: tuple[str, ...]
-    whole: tuple[int, ...]
+    words: str = ""
+    holds: Callable[[Any], bool] = lambda value: True
+    range_: Range | None = None
+    names: tuple[str, ...] = ()
+    is_sequence: bool = False
+
+    @property
+    def allowed(self) -> str:
+        """Their description with the range."""
+        is_stated = self.range_ is None or str(self.range_) in self.words
+        return self.words if is_stated else f"{self.words}, {self.range_}"
+
+    def converted(self, value: Any) -> Any:
+        """Convert a value of NumPy to Python's, and a list or an array to a tuple."""
+        if self.is_sequence and _is_sequence(value) and not isinstance(value, tuple):
+            return tuple(value.tolist() if hasattr(value, "tolist") else map(plain_value, value))
+        return plain_value(value)
+
+    def contains(self, value: Any) -> bool:
+        """Return whether a value is one of them and within the range."""
+        is_limited = self.range_ is not None and _is_number(value)
+        return self.holds(value) and (not is_limited or value in self.range_)
 
 
 @cache
-def _limits(cls: type) -> tuple[tuple[str, _Limit], ...]:
+def _kinds(cls: type) -> tuple[tuple[str, _Kind], ...]:
     hints = get_type_hints(cls, include_extras=True)
-    limits = [(f.name, _limit(hints[f.name])) for f in fields(cls)]
-    return tuple(
-        (name, limit) for name, limit in limits if limit.words or limit.known or limit.whole
+    return tuple((f.name, _kind(hints[f.name])) for f in fields(cls))
+
+
+def _kind(hint: Any) -> _Kind:
+    """Values of a type; any value for a type that cannot be checked, such as a protocol."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        inner = _kind(parts[0])
+        return replace(inner, range_=range_of(hint) or inner.range_)
+    if origin in (Union, UnionType):
+        return _union([_kind(part) for part in parts if part is not NoneType], NoneType in parts)
+    if origin is Literal:
+        words = ", ".join(map(str, parts))
+        names = tuple(part for part in parts if isinstance(part, str))
+        return _Kind(
+            words, lambda value: type(value) in map(type, parts) and value in parts, names=names
+        )
+    if origin is tuple:
+        return _tuple(parts)
+    if origin is Mapping:
+        return _Kind("a mapping", lambda value: isinstance(value, Mapping))
+    return _SCALARS.get(hint) or _instances(hint)
+
+
+def _instances(cls: Any) -> _Kind:
+    """Instances of a dataclass or a class of vrcaps; any value for protocols and other classes."""
+    is_own = isinstance(cls, type) and (is_dataclass(cls) or cls.__module__.startswith("vrcaps"))
+    if not is_own or getattr(cls, "_is_protocol", False):
+        return _Kind()
+    article = "an" if cls.__name__[0] in "AEIOU" else "a"
+    return _Kind(f"{article} {cls.__name__}", lambda value: isinstance(value, cls))
+
+
+def _union(kinds: list[_Kind], is_optional: bool) -> _Kind:
+    """Values of any of several kinds, or None."""
+    if not all(kind.words for kind in kinds):
+        return _Kind()
+    words = list(dict.fromkeys(kind.words for kind in kinds))
+    if "a number" in words and "a whole number" in words:
+        words.remove("a whole number")
+    range_ = next((kind.range_ for kind in kinds if kind.range_), None)
+    if range_ and len(words) > 1:
+        limited = next(kind.words for kind in kinds if kind.range_)
+        words = [*(one for one in words if one != limited), f"{limited}, {range_}"]
+    is_text = any(kind.holds("") for kind in kinds)
+    return _Kind(
+        " or ".join(words),
+        lambda value: (value is None and is_optional) or any(kind.holds(value) for kind in kinds),
+        range_,
+        () if is_text else tuple(name for kind in kinds for name in kind.names),
+        any(kind.is_sequence for kind in kinds),
     )
 
 
-def _limit(hint: Any) -> _Limit:
-    """Allowed values of a type."""
-    range_, plain = range_of(hint), get_args(hint)[0] if get_origin(hint) is Annotated else hint
-    is_union = get_origin(plain) in (Union, UnionType)
-    members = set(get_args(plain) if is_union else (plain,))
-    is_optional = bool({None, NoneType, Any} & members)
-    members -= {None, NoneType}
-    count = None
-    if len(members) == 1 and get_origin(items := next(iter(members))) is tuple:
-        members = set(get_args(items)) - {...}
-        count = 0 if ... in get_args(items) else len(get_args(items))
-    is_whole, words = members == {int}, ""
-    if range_ or (members and members <= {int, float}):
-        whole = "whole " if is_whole else ""
-        words = f"a {whole}number" if count is None else f"{count or ''} {whole}numbers".lstrip()
-    known = _literals(hint)
-    names = tuple(value for value in known if isinstance(value, str))
-    # The literals of a union, such as 0 or a table, do not limit its other values.
-    whole = () if is_union or names else known
-    return _Limit(is_optional, words, is_whole or bool(whole), count, range_, names, whole)
+def _tuple(parts: tuple[Any, ...]) -> _Kind:
+    """Tuples of items."""
+    is_any_length = parts[-1] is ...
+    items = [_kind(part) for part in parts if part is not ...]
+    texts = list(dict.fromkeys(kind.words for kind in items))
+    words, limits = _PLURALS.get(texts[0], ""), items[0].range_
+    if not words and isinstance(parts[0], type) and texts[0]:
+        words = f"{parts[0].__name__} objects"
+    if len(texts) > 1 or not words:
+        words = f"a tuple of {', '.join(text or 'any value' for text in texts)}"
+    elif not is_any_length:
+        words = f"{len(items)} {words}"
+
+    def holds(value: Any) -> bool:
+        if not _is_sequence(value) or not (is_any_length or len(value) == len(items)):
+            return False
+        own = items * len(value) if is_any_length else items
+        return all(kind.contains(item) for kind, item in zip(own, value, strict=True))
+
+    return _Kind(f"{words}, {limits}" if limits else words, holds, is_sequence=True)
 
 
-def _are_numbers(value: Any, limit: _Limit) -> bool:
-    if value is None:
-        return limit.is_optional
-    if limit.count is None:
-        return _is_number(value, limit)
-    if not hasattr(value, "__len__") or getattr(value, "ndim", 1) == 0:
+def _is_sequence(value: Any) -> bool:
+    return isinstance(value, list | tuple) or getattr(value, "ndim", 0) > 0
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, bool) or not (isinstance(value, Real) or getattr(value, "ndim", 1) == 0):
         return False
-    is_counted = limit.count in (0, len(value))
-    return is_counted and all(_is_number(item, limit) for item in value)
-
-
-def _is_number(value: Any, limit: _Limit) -> bool:
-    value = plain_value(value)
-    if not limit.is_whole:
-        return isinstance(value, Real) or getattr(value, "ndim", 1) == 0
     try:
-        operator.index(value)
-    except TypeError:
+        float(value)
+    except (ArithmeticError, ValueError):
         return False
     return True
 
 
-def _literals(hint: Any) -> tuple[Any, ...]:
-    """Literals that a type allows; empty if it allows any string."""
-    if get_origin(hint) is Annotated:
-        hint = get_args(hint)[0]
-    if get_origin(hint) is Literal:
-        return get_args(hint)
-    members = get_args(hint)
-    if str in members:
-        return ()
-    return next((get_args(m) for m in members if get_origin(m) is Literal), ())
+def _is_whole(value: Any) -> bool:
+    try:
+        operator.index(value)
+    except TypeError:
+        return False
+    return not isinstance(value, bool)
+
+
+_SCALARS = {
+    float: _Kind("a number", _is_number),
+    int: _Kind("a whole number", _is_whole),
+    bool: _Kind("True or False", lambda value: isinstance(value, bool)),
+    str: _Kind("a string", lambda value: isinstance(value, str)),
+    Path: _Kind("a path", lambda value: isinstance(value, Path)),
+    NoneType: _Kind("None", lambda value: value is None),
+}
+_PLURALS = {"a number": "numbers", "a whole number": "whole numbers", "a string": "strings"}
 
 
 def range_of(hint: Any) -> Range | None:

@@ -200,6 +200,9 @@ LIMITS: dict[str, tuple[float, float]] = {
 """Channels that can be observed, with the limits of their values."""
 
 
+_Side = Annotated[int, Range(8, 4096, unit="px")]
+
+
 @dataclass(frozen=True)
 class ImageObservation(Observation):
     """One channel of a camera's image [h w c].
@@ -226,7 +229,7 @@ class ImageObservation(Observation):
 
     channel: str = "rgb"
     camera: str | None = None
-    size: tuple[int, int] = (64, 64)
+    size: tuple[_Side, _Side] = (64, 64)
     render: RenderSettings = field(default_factory=lambda: RenderSettings(light="direct"))
     key: str | None = None
     noise: Annotated[float, Range(min=0.0, max=1.0)] = 0.0
@@ -234,13 +237,9 @@ class ImageObservation(Observation):
     kind: ClassVar[str] = "image"
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.channel not in LIMITS:
             raise UnknownNameError("channel to observe", self.channel, LIMITS)
-        check_fields(self)
-        size = tuple(int(n) for n in self.size)
-        is_size = all(8 <= n <= 4096 for n in size)
-        require(is_size, "size", self.size, "height and width, 8 to 4096 pixels each")
-        object.__setattr__(self, "size", size)
         is_distance = self.channel in DISTANCES or not self.noise
         require(is_distance, "noise", f"{self.noise:g} of {self.channel}", f"0, or {DISTANCES}")
 

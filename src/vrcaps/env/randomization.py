@@ -76,6 +76,7 @@ class Randomization:
     effects: Effects | str = field(default_factory=Effects)
 
     def __post_init__(self) -> None:
+        check_fields(self, of="Randomization")
         if isinstance(self.effects, str):
             object.__setattr__(self, "effects", parse_effects(self.effects))
         for name in FACTORS:

@@ -110,10 +110,6 @@ class EnvSettings:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name, kind in _SETTINGS.items():
-            value = getattr(self, name)
-            allowed = f"a {kind.__name__}"
-            require(isinstance(value, kind), name, f"of type {type(value).__name__}", allowed)
         posture_transform(self.posture)
         if not self.organs:
             raise InputError("organs is empty. Allowed: at least one.")

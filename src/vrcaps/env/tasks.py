@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from numbers import Real
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
-from vrcaps.core.errors import InputError, UnknownNameError, require
+from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.units import CM
 from vrcaps.env.actuation import MagnetActuation
@@ -74,16 +73,13 @@ class NavigateTask(Task):
             end is out of reach by half a capsule.
     """
 
-    goal: float | str = 1.0
+    goal: Annotated[float, Range(0.0, 1.0)] | str = 1.0
     tolerance: Annotated[float, Range(above=0.0, max=0.1, unit="m")] = 2.0 * CM
 
     kind: ClassVar[str] = "navigate"
 
     def __post_init__(self) -> None:
-        check_fields(self)
-        if not isinstance(self.goal, str):
-            is_valid = isinstance(self.goal, Real) and 0.0 <= self.goal <= 1.0
-            require(is_valid, "NavigateTask's goal", self.goal, "0 to 1, or a segment's name")
+        check_fields(self, of="NavigateTask")
 
     @property
     def rewards(self) -> tuple[Reward, ...]:

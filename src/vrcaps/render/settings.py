@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
-from vrcaps.core.errors import InputError, UnknownNameError, require
-from vrcaps.core.fields import check_fields
+from vrcaps.core.errors import InputError
+from vrcaps.core.fields import Range, check_fields
 
 MAX_FILM_UM = 1000.0
 """Maximum thickness of a mucus film [µm]; thicker liquid is a pool."""
@@ -47,16 +47,16 @@ class RenderSettings:
             nm, which make vessels stand out.
     """
 
-    supersampling: int = 1
+    supersampling: Annotated[int, Range(min=1)] = 1
     shadows: bool = True
     light: Light = "radiosity"
-    spp: int = 16
-    max_bounces: int = 4
-    path_seed: int = 0
+    spp: Annotated[int, Range(1, 2**31)] = 16
+    max_bounces: Annotated[int, Range(1, 100)] = 4
+    path_seed: Annotated[int, Range(0, 2**64 - 1)] = 0
     scattering: bool = False
     denoise: bool = False
-    villi: float = 1.0
-    mucus_film_um: float | None = None
+    villi: Annotated[float, Range(0.0, 2.0)] = 1.0
+    mucus_film_um: Annotated[float | None, Range(0.0, MAX_FILM_UM, unit="µm")] = None
     imaging: Literal["white-light", "narrow-band"] = "white-light"
 
     @property
@@ -66,22 +66,10 @@ class RenderSettings:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.light not in get_args(Light):
-            raise UnknownNameError("light", self.light, get_args(Light))
         if self.scattering and self.light == "direct":
             raise InputError(
                 "Scattering requires light 'radiosity' or 'path', not 'direct'. Change one of them."
             )
-        film, thickest = self.mucus_film_um or 0.0, MAX_FILM_UM
-        for name, value, valid, allowed in (
-            ("Supersampling", self.supersampling, self.supersampling >= 1, "1, 2, 3, …"),
-            ("Samples per pixel", self.spp, 1 <= self.spp <= 2**31, "1 to 2147483648"),
-            ("Max bounces", self.max_bounces, 1 <= self.max_bounces <= 100, "1 to 100"),
-            ("Mucus film", film, 0.0 <= film <= thickest, f"0 to {thickest:g} [µm]"),
-            ("Villi", self.villi, 0.0 <= self.villi <= 2.0, "0 to 2"),
-            ("Path seed", self.path_seed, 0 <= self.path_seed < 2**64, "0 to 2^64 − 1"),
-        ):
-            require(valid, name, value, allowed)
         if self.denoise and self.light != "path":
             raise InputError(
                 f"denoise requires path tracing, but light is {self.light!r}. "

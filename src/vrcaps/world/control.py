@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -53,7 +53,7 @@ class Control:
 
     def __post_init__(self) -> None:
         shapes = {"force_world": (3,), "torque_world": (3,), "T_world_patient": (4, 4)}
-        for name in (*shapes, "insufflation"):
+        for name in (*shapes, "insufflation", "flush"):
             value = getattr(self, name)
             if value is getattr(Control, name):  # its default
                 continue
@@ -62,7 +62,7 @@ class Control:
                     f"Control's {name} has the shape {np.shape(value)}. "
                     f"Allowed: {shapes.get(name, ())}."
                 )
-            if not np.isfinite(value).all():
+            if not _are_finite(value):
                 given = " ".join(str(value).split())
                 raise InputError(f"Control's {name} is {given}. Allowed: finite numbers.")
         if not 0.2 <= self.insufflation <= 2.0:
@@ -76,14 +76,22 @@ class Control:
 
     def _check_sources(self) -> None:
         if self.Ts_world_magnet is not None:
+            is_list = hasattr(self.Ts_world_magnet, "__len__")
+            require(is_list, "Control's Ts_world_magnet", self.Ts_world_magnet, "a list of poses")
             for T_world_magnet in self.Ts_world_magnet:
                 check_pose("Control's Ts_world_magnet", T_world_magnet)
         if self.strengths is not None and not (
-            np.ndim(self.strengths) == 1 and np.isfinite(self.strengths).all()
+            np.ndim(self.strengths) == 1 and _are_finite(self.strengths)
         ):
             raise InputError(
                 f"Control's strengths are {self.strengths}. Allowed: a finite number per source."
             )
+
+
+def _are_finite(values: Any) -> bool:
+    """Return whether all values are finite numbers."""
+    array = np.asarray(values)
+    return array.dtype.kind in "iuf" and bool(np.isfinite(array).all())
 
 
 GRAVITY = 9.80665

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import check_fields
 from vrcaps.core.geometry import (
     rotate_vectors,
     rotation_from_vector,
@@ -41,6 +42,9 @@ class Wrench:
     force: tuple[float, float, float] = (0.0, 0.0, 0.0)
     torque: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
+    def __post_init__(self) -> None:
+        check_fields(self, of="Wrench")
+
 
 @dataclass(frozen=True)
 class PostureChange:
@@ -56,6 +60,9 @@ class PostureChange:
     time: float = 0.0
     duration: float = 5.0
 
+    def __post_init__(self) -> None:
+        check_fields(self, of="PostureChange")
+
 
 @dataclass(frozen=True)
 class Insufflation:
@@ -69,6 +76,9 @@ class Insufflation:
     time: float = 0.0
     factor: float = 1.0
 
+    def __post_init__(self) -> None:
+        check_fields(self, of="Insufflation")
+
 
 @dataclass(frozen=True)
 class Flush:
@@ -81,6 +91,9 @@ class Flush:
 
     time: float = 0.0
     duration: float = 2.0
+
+    def __post_init__(self) -> None:
+        check_fields(self, of="Flush")
 
 
 def wrench_at(wrenches: tuple[Wrench, ...], time: float) -> Float[np.ndarray, "2 3"]:

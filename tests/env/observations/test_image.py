@@ -115,7 +115,7 @@ def test_resized_camera_keeps_the_middle_and_the_field_of_the_longer_side():
 def test_bad_images_say_what_is_allowed():
     with pytest.raises(UnknownNameError, match="No channel to observe named 'heat'"):
         ImageObservation("heat")
-    with pytest.raises(InputError, match=r"size is \(4, 64\)\. Allowed: height and width"):
+    with pytest.raises(InputError, match=r"size is \(4, 64\)\. Allowed: 2 whole numbers"):
         ImageObservation(size=(4, 64))
     with pytest.raises(UnknownNameError, match="No camera named 'side'"):
         CapsuleEnv(small_settings(observations=(ImageObservation(camera="side"),)))

@@ -114,9 +114,7 @@ def test_a_flat_picture_is_taken_as_it_is() -> None:
         ([photo()], PhotoScale(), TextureOptions(), "does not say its scale"),
         ([photo()], PhotoScale(0.1, 30.0), TextureOptions(), "Give one of"),
         ([photo()], PhotoScale(-1.0), TextureOptions(), "The scale is"),
-        ([photo()], SCALE, TextureOptions(size=20), "The size is 20"),
-        ([photo()], SCALE, TextureOptions(size=128, max_sources=0), "number of photographs"),
-        ([photo()], SCALE, TextureOptions(luminance=2.0), "The luminance is"),
+        ([photo(side=400)], SCALE, TextureOptions(size=128), r"The size is 128\. Allowed: \d+ or"),
         ([photo(side=40)], SCALE, TextureOptions(), "too few to make a texture from"),
         ([photo(), photo(1)], SCALE, TextureOptions(box=(9, 9, 60, 60)), "one photograph"),
         (
@@ -130,6 +128,20 @@ def test_a_flat_picture_is_taken_as_it_is() -> None:
 def test_what_cannot_be_made(photos, scale, options, match: str) -> None:
     with pytest.raises(InputError, match=match):
         make_texture(photos, scale, options, seed=0)
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"size": 20}, r"TextureOptions' size is 20\. Allowed: 128 to 8192"),
+        ({"max_sources": 0}, r"max_sources is 0\. Allowed: 1 or more"),
+        ({"luminance": 2.0}, r"luminance is 2\.0\. Allowed: 0\.02 to 0\.8"),
+        ({"box": 5}, r"box is 5\. Allowed: 4 whole numbers"),
+    ],
+)
+def test_options_of_a_texture_have_limits(options, match: str) -> None:
+    with pytest.raises(InputError, match=match):
+        TextureOptions(**options)
 
 
 def test_photographs_are_read_from_files_and_folders(tmp_path: Path) -> None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
 from vrcaps import _core
 from vrcaps.camera.derive import scaled_camera
 from vrcaps.camera_pipeline.effect.base import CameraEffect, CameraSetup, ImageEffect
-from vrcaps.core.errors import InputError, require
+from vrcaps.core.errors import require
 from vrcaps.core.fields import Range
 
 if TYPE_CHECKING:
@@ -56,11 +56,6 @@ class BayerFilter(ImageEffect):
     pattern: BayerPattern = "rggb"
 
     name, short = "bayer_filter", "bayer"
-
-    def __post_init__(self) -> None:
-        if self.pattern not in get_args(BayerPattern):
-            allowed = ", ".join(get_args(BayerPattern))
-            raise InputError(f"BayerFilter's pattern is {self.pattern!r}. Allowed: {allowed}.")
 
     @classmethod
     def parse(cls, text: str) -> BayerFilter:

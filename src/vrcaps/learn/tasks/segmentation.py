@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.fields import check_fields
 from vrcaps.learn.augment import Augmentation, random_flip, transpose
 from vrcaps.learn.baselines import mask_baselines
 from vrcaps.learn.networks import Backbone, UNet
@@ -60,6 +61,7 @@ class SegmentationTask(BackboneTask[Scores]):
     fallback_class: ClassVar[str] = LESION
 
     def __post_init__(self) -> None:
+        check_fields(self)
         self.backbone.require_stride()
         is_few = 0 < len(self.classes) <= MAX_CLASSES
         require(is_few, "number of classes", len(self.classes), f"1 to {MAX_CLASSES}")

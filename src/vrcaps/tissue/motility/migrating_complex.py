@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from vrcaps.core.errors import InputError, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.units import CM
 from vrcaps.tissue.motility.segment import ZONES
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from jaxtyping import Float, Int
 
 MINUTE = 60.0
@@ -34,6 +34,9 @@ _SPEEDS = MappingProxyType(
         "terminal": (0.9 * _CM_PER_MINUTE, 0.2 * _CM_PER_MINUTE),
     }
 )
+
+
+_Fraction = Annotated[float, Range(0.0, 1.0)]
 
 
 @dataclass(frozen=True)
@@ -66,18 +69,19 @@ class ComplexStatistics:
     """
 
     cycle_means: tuple[float, float] = (113.0 * MINUTE, 230.0 * MINUTE)
-    cycle_deviation: float = 64.0 * MINUTE
+    cycle_deviation: Annotated[float, Range(0.0, below=math.inf)] = 64.0 * MINUTE
     shortest_cycle: float = 15.0 * MINUTE
-    origins: tuple[float, float, float, float] = (0.71, 0.18, 0.10, 0.01)
+    origins: tuple[_Fraction, _Fraction, _Fraction, _Fraction] = (0.71, 0.18, 0.10, 0.01)
     third_phase: tuple[float, float] = (5.0 * MINUTE, 10.0 * MINUTE)
     fourth_phase: tuple[float, float] = (0.0, 5.0 * MINUTE)
-    gastric_first_phase: tuple[float, float] = (0.55, 0.23)
-    second_phase: tuple[float, float] = (0.7, 0.8)
-    second_phase_deviation: float = 0.1
+    gastric_first_phase: tuple[_Fraction, _Fraction] = (0.55, 0.23)
+    second_phase: tuple[_Fraction, _Fraction] = (0.7, 0.8)
+    second_phase_deviation: Annotated[float, Range(0.0, below=math.inf)] = 0.1
     front_speeds: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(_SPEEDS))
-    reaching: tuple[float, float] = (0.45, 0.1)
+    reaching: tuple[_Fraction, _Fraction] = (0.45, 0.1)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("cycle_means", "third_phase", "fourth_phase"):
             low, high = getattr(self, name)
             require(0.0 <= low <= high < math.inf, name, (low, high), "two ascending times [s]")
@@ -87,17 +91,6 @@ class ComplexStatistics:
             self.shortest_cycle,
             "above 0 s and below every mean cycle",
         )
-        for name in ("cycle_deviation", "second_phase_deviation"):
-            value = getattr(self, name)
-            require(0.0 <= value < math.inf, name, value, "0 or more")
-        for name in ("gastric_first_phase", "second_phase", "reaching", "origins"):
-            fractions = getattr(self, name)
-            require(
-                all(0.0 <= fraction <= 1.0 for fraction in fractions),
-                name,
-                fractions,
-                "fractions, 0 to 1",
-            )
         whole = math.fsum(self.origins)
         require(abs(whole - 1.0) < 1e-9, "origins", self.origins, "four fractions with sum 1")
         self._check_speeds()

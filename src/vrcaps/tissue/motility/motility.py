@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
 from vrcaps.core.errors import UnknownNameError, require
-from vrcaps.core.fields import check_fields
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.units import CM
 from vrcaps.tissue.motility.migrating_complex import ComplexStatistics, Front
 from vrcaps.tissue.motility.segment import SegmentMotility, segment_motilities
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from jaxtyping import Float
 
     from vrcaps.organ.surface import Centerline
@@ -147,16 +146,11 @@ class Motility:
     fronts: tuple[Front, ...] = ()
     is_asleep: bool = False
     giant: GiantContractions | None = field(default_factory=GiantContractions)
-    min_lumen_scale: float = 0.1
+    min_lumen_scale: Annotated[float, Range(above=0.0, max=1.0)] = 0.1
     propulsion: Propulsion | None = None
 
     def __post_init__(self) -> None:
-        require(
-            0.0 < self.min_lumen_scale <= 1.0,
-            "min_lumen_scale",
-            self.min_lumen_scale,
-            "above 0 to 1",
-        )
+        check_fields(self)
         if self.front is not None:
             valid = 0.0 <= self.front < math.inf and self.complex is not None
             require(valid, "front", self.front, "0 m or more, with a complex")

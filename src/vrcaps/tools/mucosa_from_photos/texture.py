@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import scipy
 
 from vrcaps.core.color import LUMINANCE, log_luminance, srgb_from_log_linear
-from vrcaps.core.errors import InputError, import_extra
+from vrcaps.core.errors import InputError, import_extra, require
+from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.core.rng import stream
 from vrcaps.core.units import MM
@@ -87,13 +88,16 @@ class TextureOptions:
         box: Left, top, width, height [px] of the region to use instead of the most uniform one.
     """
 
-    size: int = 2048
-    luminance: float = 0.30
-    max_sources: int = 4
+    size: Annotated[int, Range(128, 8192)] = 2048
+    luminance: Annotated[float, Range(0.02, 0.8)] = 0.30
+    max_sources: Annotated[int, Range(min=1)] = 4
     vessels: bool = True
     placement: VesselPlacement = field(default_factory=VesselPlacement)
     is_flat: bool = False
     box: tuple[int, int, int, int] | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self, of="TextureOptions")
 
 
 @dataclass(frozen=True)
@@ -261,14 +265,7 @@ def _record(source: PhotoAnalysis) -> dict[str, Any]:
 
 
 def _check(options: TextureOptions, photos: list[Photo], seed: int) -> None:
-    for name, value, valid, allowed in (
-        ("size", options.size, 128 <= options.size <= 8192, "128 to 8192"),
-        ("luminance", options.luminance, 0.02 <= options.luminance <= 0.8, "0.02 to 0.8"),
-        ("number of photographs mixed", options.max_sources, options.max_sources > 0, "1 or more"),
-        ("seed", seed, seed >= 0, "0 or more"),
-    ):
-        if not valid:
-            raise InputError(f"The {name} is {value}. Allowed: {allowed}.")
+    require(seed >= 0, "The seed", seed, "0 or more")
     if options.box is not None and len(photos) != 1:
         raise InputError(f"A box goes with one photograph; {len(photos)} were given.")
 

@@ -13,6 +13,7 @@ import numpy as np
 import scipy
 
 from vrcaps.core.errors import import_extra
+from vrcaps.core.fields import check_fields
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -181,6 +182,9 @@ class VesselPlacement:
     position_std: float = 0.3
     rotation_std_deg: float = 60.0
     size_std: float = 0.15
+
+    def __post_init__(self) -> None:
+        check_fields(self, of="VesselPlacement")
 
 
 def place_vessels(

@@ -13,8 +13,6 @@ INSTALL = VIRTUAL_ENV=$(CURDIR)/$(VENV) $(BIN)/uv pip install --quiet --constrai
 
 export PATH := $(CURDIR)/$(BIN):$(PATH):$(HOME)/.cargo/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
-# Tests start hundreds of processes; each would compile all its imports where bytecode is not kept.
-export PYTHONDONTWRITEBYTECODE :=
 # Rust tests call no Python, so they need no libpython to link; these settings are maturin's own.
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 export PYO3_BUILD_EXTENSION_MODULE := 1

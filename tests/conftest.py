@@ -2,6 +2,7 @@
 
 import gc
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,6 +15,10 @@ from vrcaps import _core
 _ROOT = str(Path(__file__).parents[1])
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (_ROOT, os.environ.get("PYTHONPATH"))))
 """Search path of processes that tests start: it includes `tests.support` and `benchmarks`."""
+
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+"""Bytecode is kept: workers and hundreds of programs would compile all their imports."""
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # workers run beside each other, so each takes one thread
     for _threads in ("RAYON", "OIDN", "OMP", "OPENBLAS"):

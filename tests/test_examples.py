@@ -25,8 +25,9 @@ EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
 def output_of(program: Path, folder: Path, *arguments: str) -> str:
     """Text printed by a program in a folder; its warnings, and those of vrcaps, are errors."""
     result = run_program(
-        program, *arguments, folder=folder, warnings="vrcaps|__main__", setup=COARSE_BAKING
-    )
+        program, *arguments, folder=folder, warnings="vrcaps|__main__", setup=COARSE_BAKING,
+        is_loaded=True,
+    )  # fmt: skip
     assert result.returncode == 0, result.stderr
     return result.stdout
 

@@ -66,7 +66,9 @@ def killed(at: int, function: str, *words: str) -> None:
     """Run a function of this module in a process that kills itself at a rename."""
     environment = {"PYTHONPATH": os.pathsep.join(sys.path)}
     folder = str(Path(__file__).parent)
-    done = run_program(KILLED, str(at), folder, function, *words, environment=environment)
+    done = run_program(
+        KILLED, str(at), folder, function, *words, environment=environment, is_loaded=True
+    )
     assert done.returncode == -signal.SIGKILL, done.stderr
 
 

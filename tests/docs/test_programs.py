@@ -147,5 +147,7 @@ def test_the_programs_of_a_page_run(page: str, tmp_path: Path) -> None:
     path = os.pathsep.join([str(ROOT), *sys.path])
     program = tmp_path / "program.py"
     environment = {"PYTHONPATH": path}
-    result = run_program(program, folder=tmp_path, environment=environment, setup=COARSE_BAKING)
+    result = run_program(
+        program, folder=tmp_path, environment=environment, setup=COARSE_BAKING, is_loaded=True
+    )
     assert result.returncode == 0, result.stderr[-3000:]

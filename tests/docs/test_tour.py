@@ -18,7 +18,9 @@ ROOT = Path(__file__).parents[2]
 @pytest.mark.usefixtures("coarse_organs")
 def test_the_quick_video_has_all_chapters(tmp_path: Path) -> None:
     script, out = ROOT / "docs" / "images" / "tour.py", tmp_path / "tour.mp4"
-    result = run_program(script, "--quick", "--out", str(out), folder=ROOT, setup=COARSE_BAKING)
+    result = run_program(
+        script, "--quick", "--out", str(out), folder=ROOT, setup=COARSE_BAKING, is_loaded=True
+    )
     assert result.returncode == 0, result.stderr[-3000:]
     assert result.stdout == f"Wrote {out}: 16 frames, 8 s.\n"
     with av.open(str(out)) as video:
@@ -38,7 +40,7 @@ def test_a_wrong_path_or_seed_is_one_line_before_the_first_chapter(tmp_path: Pat
         (("--out", str(file / "tour.mp4")), "Give a file in a folder of yours."),
         (("--seed", "-1"), "--seed is -1. Allowed: 0 or more."),
     ):
-        result = run_program(script, "--quick", *given, folder=tmp_path)
+        result = run_program(script, "--quick", *given, folder=tmp_path, is_loaded=True)
         assert result.returncode == 2
         assert result.stderr.splitlines()[-1].endswith(error)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]

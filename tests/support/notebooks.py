@@ -70,7 +70,7 @@ def run_smoke(path: Path, folder: Path) -> None:
         AssertionError: If a cell fails; with the error messages.
     """
     code = program_of(path, smoke=True)
-    result = run_program(code, folder=folder, environment={"MPLBACKEND": "agg"})
+    result = run_program(code, folder=folder, environment={"MPLBACKEND": "agg"}, is_loaded=True)
     assert result.returncode == 0, result.stdout + result.stderr
 
 

@@ -1,7 +1,8 @@
 """Server of `tests.support.programs`: it loads packages once and runs each program in a fork.
 
 It reads one JSON object per line from standard input and writes the exit status of each program.
-No package of the project is loaded before the fork, so a program imports vrcaps afresh.
+No package of the project is loaded before the fork, so a program imports vrcaps afresh. A job with
+`"loaded": true` is a fork of a child that has imported vrcaps too.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import threading
 import traceback
 import types
 import warnings
+from collections.abc import Callable
 from typing import Any, TextIO
 
 PACKAGES = (
@@ -43,6 +45,15 @@ PACKAGES = (
     "gymnasium",
 )
 """Packages that programs import; what is not installed is left out."""
+VRCAPS = (
+    "vrcaps.cli.record",
+    "vrcaps.data",
+    "vrcaps.env",
+    "vrcaps.formats",
+    "vrcaps.learn",
+    "vrcaps.policy",
+)
+"""Packages of the project that programs import, besides the public names."""
 
 
 def load() -> None:
@@ -59,6 +70,18 @@ def load() -> None:
     gc.collect()
     gc.freeze()
     gc.enable()
+
+
+def load_vrcaps() -> None:
+    """Import the public names of vrcaps and its commands."""
+    sys.path[:0] = [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
+    vrcaps = importlib.import_module("vrcaps")
+    for name in vrcaps.__all__:
+        getattr(vrcaps, name)
+    for name in VRCAPS:
+        importlib.import_module(name)
+    gc.collect()
+    gc.freeze()
 
 
 def run(job: dict[str, Any]) -> int:
@@ -128,21 +151,33 @@ def end(status: int) -> None:
 
 def serve(jobs: TextIO, answers: TextIO) -> None:
     """Answer until there are no more jobs."""
+    loaded = None
     for line in jobs:
-        answers.write(f"{fork(json.loads(line))}\n")
+        job = json.loads(line)
+        if job.pop("loaded", False):
+            loaded = loaded or Child(load_vrcaps)
+            status = loaded.answer(job)
+        else:
+            status = fork(job)
+        answers.write(f"{status}\n")
         answers.flush()
 
 
 class Child:
     """Server in a fork of this process, for a program that starts others."""
 
-    def __init__(self) -> None:
-        """Fork; call it before packages of the project are loaded and threads are started."""
+    def __init__(self, prepare: Callable[[], None] = lambda: None) -> None:
+        """Fork; call it before packages of the project are loaded and threads are started.
+
+        Args:
+            prepare: Function that the child calls before its first program.
+        """
         jobs, answers = os.pipe(), os.pipe()
         self._pid = os.fork()
         if self._pid == 0:
             os.close(jobs[1])
             with os.fdopen(jobs[0]) as given, os.fdopen(answers[1], "w") as told:
+                prepare()
                 serve(given, told)
             os._exit(0)
         os.close(jobs[0])
@@ -161,6 +196,10 @@ class Child:
             "setup": setup,
             "timeout": timeout,
         }
+        return self.answer(job)
+
+    def answer(self, job: dict[str, Any]) -> int:
+        """Exit status of a program."""
         self._jobs.write(f"{json.dumps(job)}\n")
         self._jobs.flush()
         return int(self._answers.readline())

@@ -1,9 +1,9 @@
 """Python programs in separate processes, without the start-up time of heavy packages.
 
 A server imports the packages of others (PyTorch, SciPy, ...) once for each test worker; a program
-is a fork of it and imports vrcaps afresh. Environment variables of the program apply to vrcaps and
-its core; those that a package of others reads at its import, such as `OPENBLAS_NUM_THREADS`, need
-`subprocess`, as does a test of start-up.
+is a fork of it and imports vrcaps afresh, unless its claim is of work after the import. Environment
+variables of the program apply to vrcaps and its core; those that a package of others reads at its
+import, such as `OPENBLAS_NUM_THREADS`, need `subprocess`, as does a test of start-up.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ def run_program(
     environment: Mapping[str, str] | None = None,
     warnings: str = "",
     setup: str = "",
+    is_loaded: bool = False,
 ) -> subprocess.CompletedProcess[str]:
     """Run a Python program to its end.
 
@@ -39,6 +40,7 @@ def run_program(
         environment: Environment variables that are added to those of this process.
         warnings: Regular expression of modules whose warnings are errors, for a file.
         setup: Statements that run before the program.
+        is_loaded: Whether vrcaps has been imported before, with the environment of this process.
 
     Returns:
         Exit status (negative for a signal, SIGALRM for a hang), and both streams as text.
@@ -53,6 +55,7 @@ def run_program(
             "environment": {**os.environ, **(environment or {})},
             "warnings": warnings,
             "setup": setup,
+            "loaded": is_loaded,
             "timeout": WATCHDOG,
             "stdout": str(stdout),
             "stderr": str(stderr),

@@ -57,7 +57,7 @@ def _sphere_radiance(look: Appearance, cos_view: np.ndarray, depth: int) -> np.n
     """
     nodes, weights = np.polynomial.legendre.leggauss(120)
     mu, weight = 0.5 * (nodes + 1.0), 0.5 * weights
-    angle = 2.0 * np.pi * (np.arange(256) + 0.5) / 256
+    angle = np.pi * (np.arange(128) + 0.5) / 128  # the other half turn is its mirror image
     cosine, turn = (a.ravel() for a in np.meshgrid(mu, angle, indexing="ij"))
     ring = np.sqrt(1.0 - cosine**2)
     light = np.stack([ring * np.cos(turn), ring * np.sin(turn), cosine], axis=1)
@@ -72,7 +72,7 @@ def _sphere_radiance(look: Appearance, cos_view: np.ndarray, depth: int) -> np.n
         color = np.broadcast_to(albedo, (count, 1))
         return twin_shade.principled(look, color, rough, normal, views, ways)[:, 0]
 
-    step = np.stack([reflected(m, light).reshape(120, 256).mean(axis=1) for m in mu])
+    step = np.stack([reflected(m, light).reshape(120, 128).mean(axis=1) for m in mu])
     step = 2.0 * np.pi * step * weight
     straight = np.array([[0.0, 0.0, 1.0]])
     radiance = np.array([reflected(m, straight)[0] for m in mu])

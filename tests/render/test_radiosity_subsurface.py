@@ -54,14 +54,14 @@ def _lamp(height: float) -> tuple[Led, ...]:
     return (Led((0.0, 0.0, height), lobe_exponent=0.0, intensity=(1e-3, 1e-3, 1e-3)),)
 
 
-def _folds(around: int = 16) -> tuple[Model, Camera]:
+def _folds(around: int = 16, pixels: int = 48) -> tuple[Model, Camera]:
     look = Appearance(
         np.array([[[190, 90, 50]]], np.uint8), np.full((1, 1), 160, np.uint8), np.zeros((1, 1)),
         clearcoat=0.7,
     )  # fmt: skip
     organ = tube(around, 5 * around // 2, length=0.15, folds=0.35, capped=True, appearance=look)
     leds = tuple(Led((0.003 * np.cos(a), 0.003 * np.sin(a), -0.001)) for a in (0.0, 2.0, 4.0))
-    camera = make_camera(pinhole(48, 1.8), leds=leds)
+    camera = make_camera(pinhole(pixels, 1.8), leds=leds)
     return make_model(organ, camera), camera
 
 
@@ -105,7 +105,7 @@ def test_a_thin_sheet_shines_through() -> None:
 @pytest.mark.slow
 def test_beside_folds_as_by_path_tracing() -> None:
     """Two renderings cancel path tracing's noise; without scattering red is far off."""
-    model, camera = _folds(48)
+    model, camera = _folds(48, pixels=32)
     state = looking(PLACE)
     one, two = (
         _radiance(model, camera, state, light="path", spp=48, max_bounces=8, path_seed=seed)

@@ -25,6 +25,7 @@ from typing import Any, TextIO
 
 PACKAGES = (
     "numpy",
+    "pytest",
     "scipy.interpolate",
     "scipy.ndimage",
     "scipy.optimize",

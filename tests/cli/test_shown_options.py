@@ -88,7 +88,13 @@ def test_a_shown_command_is_accepted(words: list[str], tmp_path: Path, monkeypat
         if word.endswith((".toml", ".json")) and "=" not in word:  # files that are read
             (tmp_path / word).parent.mkdir(parents=True, exist_ok=True)
             (tmp_path / word).touch()
-    assert cli._parse(words) is not None
+    assert is_accepted(*words)
+
+
+@cache
+def is_accepted(*words: str) -> bool:
+    """Whether a command is parsed; files that it reads exist. Many pages show the same commands."""
+    return cli._parse(words) is not None
 
 
 def _nested(declared: Any) -> Iterator[Any]:
@@ -153,14 +159,15 @@ def test_an_option_in_a_text_exists_and_takes_its_value(words: list[str]) -> Non
     of_record = "record" in verbs and verbs <= {"record", "cockpit"}
     is_whole = len(words) > 1 and not any(PLACEHOLDER.fullmatch(word) for word in words)
     if of_record and is_whole:
-        assert resolves(words)
+        assert resolves(*words)
     elif "--set" in names and is_whole:
         settings = [word.partition("=")[0] for word in words if "=" in word and word[0] != "-"]
         training = {f.name for f in dataclasses.fields(TrainSettings)} | {"env", "learner"}
-        assert {name.partition(".")[0] for name in settings} <= training or resolves(words)
+        assert {name.partition(".")[0] for name in settings} <= training or resolves(*words)
 
 
-def resolves(words: list[str]) -> bool:
+@cache
+def resolves(*words: str) -> bool:
     """Return whether options of `record` give a scenario, for some motion or lens effect."""
     reasons = []
     for more in ([], *(["--motion", kind] for kind in MOTIONS)):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +16,13 @@ from vrcaps.core.rng import stream
 SOURCES = sorted(Path(vrcaps.__file__).parent.rglob("*.py"))
 
 
-def purposes() -> list[str]:
+@cache
+def purposes() -> tuple[str, ...]:
     """Purposes of all calls of `stream` in the package; fails where one cannot be read off."""
     found = []
-    for path in SOURCES:
-        for node in ast.walk(ast.parse(path.read_text())):
+    texts = [(path, path.read_text()) for path in SOURCES]
+    for path, text in texts:
+        for node in ast.walk(ast.parse(text if "stream" in text else "")):
             if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("rng.stream"):
                 purpose = node.args[1]
                 if isinstance(purpose, ast.JoinedStr):  # a family: its members follow a slash
@@ -27,7 +30,7 @@ def purposes() -> list[str]:
                     assert ast.unparse(purpose).endswith("/'"), ast.unparse(node)
                 assert isinstance(purpose, ast.Constant), f"{path.name}: {ast.unparse(node)}"
                 found.append(str(purpose.value))
-    return found
+    return tuple(found)
 
 
 @pytest.mark.slow

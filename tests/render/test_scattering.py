@@ -305,7 +305,7 @@ def test_wall_of_a_large_sphere(color: int):
     """Seen and lit head-on from its middle: exact transport of the half-space."""
     led = Led((0.0, 0.0, 0.0), lobe_exponent=0.0, intensity=(1e-3,) * 3)
     camera = make_camera(pinhole(24), leds=(led,))
-    model = make_model(sphere(5, radius=0.5, appearance=_matt(color)), camera)
+    model = make_model(sphere(4, radius=0.5, appearance=_matt(color)), camera)
     found = _radiance(model, camera, looking((0.0, 0.0, 0.0)), spp=128, max_bounces=1)
     back = half_space_reflectance(_albedo(color), TISSUE_IOR)[0]
     head_on = 1.0 - fresnel(np.array(1.0), TISSUE_IOR)

@@ -27,6 +27,7 @@ from vrcaps.learn.compositing import CompositeSettings
 from vrcaps.learn.tasks.depth import DepthTask
 from vrcaps.learn.tasks.segmentation import SegmentationTask
 from vrcaps.lesion import Polyp
+from vrcaps.lesion.base import Location
 from vrcaps.lesion.mucosal import Ulcer
 from vrcaps.lumen.contents import Bubbles, Chyme, Contents, Liquid
 from vrcaps.motion.dynamics_settings import DynamicsSettings
@@ -38,11 +39,13 @@ from vrcaps.scenario.scenario import (
     scenario_from_plain,
     scenario_to_plain,
 )
+from vrcaps.sensors.sensors import Sensors
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.motility.migrating_complex import ComplexStatistics
 from vrcaps.tissue.motility.motility import GiantContractions, Motility, Propulsion
 from vrcaps.tissue.tissue import Drag, SpringWall, WinklerFoundation
 from vrcaps.tools.ct.from_ct import WallOptions
+from vrcaps.tools.mucosa_from_photos.patches import PhotoScale
 from vrcaps.tools.mucosa_from_photos.texture import TextureOptions
 from vrcaps.tools.mucosa_from_photos.vessels import VesselPlacement
 from vrcaps.world.control import Control
@@ -241,6 +244,9 @@ def test_numbers_of_numpy_reach_files(tmp_path, monkeypatch):
         (VesselPlacement, "size_std"),
         (Motility, "front"),
         (ComplexStatistics, "reaching"),
+        (Location, "arc_length"),
+        (Sensors, "earth_field"),
+        (PhotoScale, "mm_per_pixel"),
         (ImageObservation, "size"),
         (Randomization, "mass"),
     ],

@@ -151,6 +151,9 @@ class Location:
     arc_length: Annotated[float, LENGTH] | None = None
     theta: float | None = None
 
+    def __post_init__(self) -> None:
+        check_fields(self, of="Location")
+
 
 @dataclass(frozen=True)
 class WallSamples:

@@ -180,6 +180,9 @@ class Sensors:
     hall: HallPad | None = None
     earth_field: tuple[float, float, float] = EARTH_FIELD
 
+    def __post_init__(self) -> None:
+        check_fields(self, of="Sensors")
+
     def with_inertial(self) -> Sensors:
         """Return the sensors with an IMU and a magnetometer; missing ones have defaults."""
         return replace(

@@ -10,6 +10,7 @@ import scipy
 
 from vrcaps.core.color import log_linear_from_srgb
 from vrcaps.core.errors import InputError
+from vrcaps.core.fields import check_fields
 from vrcaps.tools.mucosa_from_photos.region import MIN_SIDE, Region, box_region, find_region
 from vrcaps.tools.mucosa_from_photos.vessels import Vessels, find_vessels
 from vrcaps.tools.photos import FieldOfView, field_of_view, fill
@@ -71,6 +72,9 @@ class PhotoScale:
 
     mm_per_pixel: float | None = None
     field_width_mm: float | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self, of="PhotoScale")
 
     def of_field(self, width: int, shrink: int) -> float:
         """Millimeters per pixel for the width of the downsampled field [px]."""

@@ -26,6 +26,7 @@ def _immersed(*, orders=(0.0, 0.0, 0.0), rays=None, distance=_DISTANCE, led=(0.0
     """Core's images of a wall of radiance 1 at a distance, with an isotropic LED of 1 W/sr."""
     given = {
         "absorption": (0.0, 0.0, 0.0),
+        "stain": (0.0, 0.0, 0.0),
         "scattering": (0.0, 0.0, 0.0),
         "anisotropy": 0.0,
         "orders": orders,
@@ -45,9 +46,10 @@ def _immersed(*, orders=(0.0, 0.0, 0.0), rays=None, distance=_DISTANCE, led=(0.0
     return planes, veil, clear
 
 
-def test_wall_is_attenuated_on_both_ways():
+@pytest.mark.parametrize(("name", "clouds"), [("absorption", 0.0), ("stain", 0.8)])
+def test_wall_is_attenuated_on_both_ways(name, clouds):
     absorption = np.array([10.0, 30.0, 90.0])
-    planes, veil, clear = _immersed(absorption=tuple(absorption))
+    planes, veil, clear = _immersed(**{name: tuple(absorption)}, clouds=(clouds, 6e-3))
     expected = np.exp(-2.0 * absorption * (_DISTANCE - _START))
     assert np.allclose(planes[:, 4, 6], expected, rtol=1e-4)
     assert not veil.any()
@@ -146,6 +148,7 @@ def test_core_agrees_with_its_twin():
     )
     medium = {
         "absorption": (10.0, 20.0, 80.0),
+        "stain": (2.0, 5.0, 25.0),
         "scattering": (150.0, 140.0, 130.0),
         "anisotropy": 0.8,
         "orders": (0.7, 0.5, 0.3),
@@ -245,6 +248,23 @@ def test_amounts_along_the_gut_have_their_prevalence():
     assert np.abs(np.diff(np.log(dense))).max() < 2.0
 
 
+def test_clear_fluid_stains_a_view_without_turbidity(tube):
+    state, channels = Model(tube, read_device("mirocam")).place(), ("radiance", "ray_distance")
+    stained, clear = (
+        Renderer(Model(tube, read_device("mirocam"), contents=Contents(medium=medium))).render(
+            state, "front", channels=channels
+        )
+        for medium in (Medium(prevalence=0.0, stain=(0.0, 5.0, 25.0)), 0)
+    )
+    lit = np.isfinite(clear.ray_distance) & (clear.radiance.min(axis=-1) > 0.0)
+    red, green, blue = (stained.radiance[lit] / clear.radiance[lit]).T
+    assert np.allclose(red, 1.0, rtol=1e-3)
+    assert np.allclose(np.log(blue), 5.0 * np.log(green), atol=0.02)
+    far, near = np.quantile(clear.ray_distance[lit], [0.9, 0.1])
+    is_far, is_near = clear.ray_distance[lit] > far, clear.ray_distance[lit] < near
+    assert blue[is_far].mean() < blue[is_near].mean() < 1.0
+
+
 def test_film_differs_over_the_dome_and_with_travel():
     angles = np.stack(np.meshgrid(np.linspace(-1, 1, 40), np.linspace(-1, 1, 40)), axis=-1)
     relief = film_relief(Film(), angles, 3, 0)
@@ -274,6 +294,8 @@ def test_invalid_settings_are_refused():
         Medium(prevalence=2.0)
     with pytest.raises(InputError, match="Medium's absorption"):
         Medium(absorption=(-1.0, 0.0, 0.0))
+    with pytest.raises(InputError, match="Medium's stain"):
+        Medium(stain=(0.0, 0.0, -1.0))
     with pytest.raises(InputError, match="Medium's floc_color"):
         Medium(floc_color=(2.0, 0.0, 0.0))
     with pytest.raises(InputError, match="Film's thickness is 1"):

@@ -1,4 +1,4 @@
-"""Villi at outlines: their length in closed form, and channels that they leave alone."""
+"""Villi: length of the fringe, gaps seen from above, and channels that they leave alone."""
 
 from dataclasses import replace
 
@@ -9,7 +9,9 @@ from tests.support.shapes import looking, make_camera, make_model, pinhole, tube
 from vrcaps import _core
 from vrcaps.camera.camera import Led
 from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import rotation_from_vector
 from vrcaps.organ.segments import find_segment
+from vrcaps.render import scene
 from vrcaps.render.renderer import DEFAULT_CHANNELS, Renderer
 from vrcaps.render.settings import RenderSettings
 
@@ -34,15 +36,19 @@ def _channels() -> list[np.ndarray]:
     return [distance, np.zeros(_SIZE, np.int32), weights.astype("f4"), labels, 0 * labels]
 
 
-def _raised(channels: list[np.ndarray], length: float = _LENGTH, **changes) -> np.ndarray:
+def _raised(
+    channels: list[np.ndarray], length: float = _LENGTH, gaps: float = 0.0, **changes
+) -> np.ndarray:
     """Planes of a near wall of radiance 1 before a black one, with villi."""
     planes = np.zeros((3, *_SIZE), np.float32)
     planes[:, :, : _EDGE + 1] = 1.0
-    extent = _NEAR / _FOCAL * np.array(_SIZE)
+    extent = changes.get("scale", 1.0) * _NEAR / _FOCAL * np.array(_SIZE)
     vertices = np.array([[extent[0], 0.0, 0.0], [0.0, extent[1], 0.0], [0.0, 0.0, 0.0]])
+    # Aligned with the lattice of the cells, a plane would not pass through their middles.
+    vertices = vertices @ rotation_from_vector(np.array([0.7, -0.4, 0.9])).T
     wall = changes.get("wall", (vertices, np.array([[0, 1, 2]])))
-    lengths = [0.0, length] + [0.0] * 254
-    _core.raise_villi(planes, tuple(channels), wall, lengths, _SPACING, _FOCAL)
+    by_label = [[0.0, value] + [0.0] * 254 for value in (length, gaps)]
+    _core.raise_villi(planes, tuple(channels), wall, by_label, _SPACING, _FOCAL)
     return planes
 
 
@@ -52,7 +58,7 @@ def test_villi_stand_out_by_their_length_and_differ():
     behind = planes[0, :, _EDGE + 1 :]
     longest = 1.5 * _LENGTH / _NEAR * _FOCAL
     assert not behind[:, int(longest + 1.5) :].any()
-    # Opacity falls by a quarter and tone by a fifth to the tips; the tone is 0.65 to 0.95.
+    # Opacity falls by a quarter and tone by a fifth to the tips; the tone is 0.55 to 0.85.
     lengths = (behind > 0.3).sum(axis=1) * _NEAR / _FOCAL
     assert 0.4 * _LENGTH < lengths.mean() < 0.9 * _LENGTH
     assert lengths.std() > 0.15 * _LENGTH
@@ -68,10 +74,11 @@ def test_lengths_scale_with_the_setting():
     assert not _raised(_channels(), 0.0)[:, :, _EDGE + 1 :].any()
 
 
-def test_villi_stay_on_the_wall():
+@pytest.mark.parametrize("gaps", [0.0, 0.7])
+def test_villi_stay_on_the_wall(gaps):
     channels = _channels()
     moved = [np.roll(channel, 7, axis=0) for channel in channels]
-    still, shifted = _raised(channels), _raised(moved)
+    still, shifted = _raised(channels, gaps=gaps), _raised(moved, gaps=gaps)
     assert np.allclose(np.roll(still, 7, axis=1)[:, 20:-20], shifted[:, 20:-20], atol=1e-5)
 
 
@@ -81,6 +88,38 @@ def test_there_are_none_behind_what_floats_in_front():
     planes = _raised(channels)
     assert not planes[:, :200, _EDGE + 1 :].any()
     assert planes[:, 215:, _EDGE + 1 :].any()
+
+
+def test_gaps_between_villi_are_darker_and_as_far_apart_as_villi():
+    planes = _raised(_channels(), gaps=0.7)[:, 1:-1, 1 : _EDGE - 1]
+    density = -np.log(planes)
+    assert np.allclose(density[0], 0.7 * density[1], atol=1e-5)
+    assert np.allclose(density[2], 1.1 * density[1], atol=1e-5)
+    # The density is 0.7 in a gap relative to a villus, up to twice that where gaps are deep.
+    assert abs(density[1].mean()) < 0.15 * 0.7
+    assert 0.3 < np.ptp(density[1]) < 1.4
+    # Villi are as far apart as their spacing: mean distance of crossings along columns.
+    is_gap = density[1] > 0.1
+    gaps = (is_gap[1:] & ~is_gap[:-1]).sum(axis=0).mean()
+    assert 0.5 < gaps * _SPACING / 16e-3 < 1.5
+
+
+@pytest.mark.parametrize(("scale", "contrast"), [(1.0, True), (8.0, False)])
+def test_gaps_fade_where_pixels_do_not_resolve_them(scale, contrast):
+    # Pixels lie 40 or 320 µm apart, villi 420 µm.
+    planes = _raised(_channels(), gaps=0.7, scale=scale)[:, 1:-1, 1 : _EDGE - 1]
+    assert (planes.std() > 0.05) == contrast
+    assert contrast or (planes == 1.0).all()
+
+
+def test_gaps_are_not_drawn_on_what_floats_in_front_or_without_villi():
+    channels = _channels()
+    channels[4][:200] = 1
+    channels[3][300:] = 2
+    planes = _raised(channels, gaps=0.7)[:, :, : _EDGE + 1]
+    assert (planes[:, :200] == 1.0).all()
+    assert (planes[:, 300:] == 1.0).all()
+    assert planes[:, 205:295].std() > 0.05
 
 
 def _bowel(label: str = "jejunum"):
@@ -95,11 +134,18 @@ def _frame(model, **settings):
     return renderer.render(looking((0.004, -0.003, 0.05)), _CAMERA, channels=channels)
 
 
-def test_only_light_near_outlines_changes():
+def test_only_light_changes():
     model = _bowel()
     frame, bare = _frame(model), _frame(model, villi=0.0)
     for name in DEFAULT_CHANNELS[1:]:
         assert np.array_equal(getattr(frame, name), getattr(bare, name), equal_nan=True), name
+    assert (frame.radiance != bare.radiance).any(axis=-1).mean() > 0.002
+
+
+def test_the_fringe_is_behind_outlines(monkeypatch):
+    monkeypatch.setattr(scene, "GAP_DENSITY", 0.0)
+    model = _bowel()
+    frame, bare = _frame(model), _frame(model, villi=0.0)
     changed = (frame.radiance != bare.radiance).any(axis=-1)
     assert 0.002 < changed.mean() < 0.2
     rows, columns = np.nonzero(changed)
@@ -108,7 +154,7 @@ def test_only_light_near_outlines_changes():
         window = np.s_[
             max(row - reach, 0) : row + reach + 1, max(column - reach, 0) : column + reach + 1
         ]
-        assert np.nanmin(bare.ray_distance[window]) < bare.ray_distance[row, column] - 0.5e-3
+        assert np.nanmin(bare.ray_distance[window]) < bare.ray_distance[row, column] - 1e-3
 
 
 def test_other_mucosae_and_direct_light_have_none():
@@ -142,6 +188,10 @@ def test_wrong_input():
         _raised(channels, wall=(np.zeros((3, 3)), np.zeros((0, 3), int)))
     with pytest.raises(ValueError, match="does not exist"):
         _raised(channels, wall=(np.zeros((2, 3)), np.array([[0, 1, 2]])))
+    by_label = [[0.0] * 256] * 2
     small, wall = np.zeros((3, 2, 2), np.float32), (np.zeros((3, 3)), np.zeros((1, 3), int))
     with pytest.raises(ValueError, match="channels' size"):
-        _core.raise_villi(small, tuple(channels), wall, [0.0] * 256, _SPACING, _FOCAL)
+        _core.raise_villi(small, tuple(channels), wall, by_label, _SPACING, _FOCAL)
+    planes = np.zeros((3, *_SIZE), np.float32)
+    with pytest.raises(ValueError, match="above 0"):
+        _core.raise_villi(planes, tuple(channels), wall, by_label, 0.0, _FOCAL)

@@ -3,7 +3,7 @@
 pub mod grid;
 pub(crate) mod noise;
 mod raster;
-mod tissue;
+pub mod tissue;
 mod vessels;
 
 use crate::pool::detached;

@@ -91,8 +91,14 @@ const UNIT_SLOPE: f32 = 3.3;
 const PLATEAU_SLOPE: f32 = 3.5;
 
 /// Mean height of the plateaus, and width of the gaps between them in spacings.
-const PLATEAU: f32 = 0.62;
+pub const PLATEAU: f32 = 0.62;
 const GAP: f32 = 0.38;
+
+/// Height of the plateaus at a distance from the border between them, see `Cells::borders`.
+#[inline(always)]
+pub fn plateau(border: f32) -> f32 {
+    smoothstep(0.0, GAP, border)
+}
 
 /// Spacing of the possible positions of flecks of mucus [mm], and radii of flecks in spacings.
 const FLECK_SPACING: f32 = 3.2;
@@ -256,7 +262,7 @@ impl Tissue {
         let (mut level, mut plateau) = (film, self.pits.borders(fine));
         for i in 0..LANES {
             level[i] += 0.5 * mottle[i];
-            plateau[i] = smoothstep(0.0, GAP, plateau[i]);
+            plateau[i] = self::plateau(plateau[i]);
         }
         let mut cover = self.mucus(fine, &level, &grain);
         for i in 0..LANES {

@@ -51,6 +51,8 @@ type Node = [f32; VALUES];
 pub struct Medium {
     /// Absorption of red, green and blue at mean density [1/m].
     absorption: Vec3,
+    /// Absorption by dissolved bile, the same everywhere [1/m].
+    stain: Vec3,
     /// Scattering coefficient at mean density [1/m].
     scattering: Vec3,
     /// Mean cosine of the scattering angle.
@@ -264,7 +266,7 @@ impl Medium {
             });
             let gone: Vec3 = std::array::from_fn(|k| {
                 let lost = self.absorption[k] + (1.0 - self.anisotropy) * self.scattering[k];
-                density * lost + flocs
+                density * lost + flocs + self.stain[k]
             });
             let halfway: Vec3 = std::array::from_fn(|k| depth[k] + 0.5 * step * gone[k]);
             let light = self.scattered(rig, ray.map(|x| x * middle), (start, middle), &halfway);

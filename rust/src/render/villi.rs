@@ -1,25 +1,36 @@
-//! Villi at the outlines of folds: each stands out over the surface behind as far as its length.
+//! Villi: gaps between those seen from above, and a fringe of those at the outlines of folds.
 //!
-//! The wall of the scene ends at the bases of the villi, and its texture shows those that are seen
-//! from above. Along an outline they are seen from the side: a pixel behind it within the length of
-//! a villus takes the radiance of the wall at the nearest pixel of the outline. The lengths vary
-//! with cells on the wall at rest, so villi stay in their places while the wall moves. Only radiance
-//! changes; depth and labels are those of the wall.
+//! The wall of the scene ends at the bases of the villi. Seen from above, the gaps between them are
+//! darker, in more detail than a texture of a whole gut could hold; they fade where pixels do not
+//! resolve them. Along an outline villi are seen from the side: a pixel behind it within the length
+//! of a villus takes the radiance of the wall at the nearest pixel of the outline. Gaps and lengths
+//! vary with cells on the wall at rest, so villi stay in their places while the wall moves. Only
+//! radiance changes; depth and labels are those of the wall.
 
-use crate::mucosa::noise::{Cells, Lattice, Vec3};
-use crate::simd::f32x64::{LANES, clamp, max, min};
-use numpy::ndarray::{ArrayView2, ArrayViewMut3};
+use crate::mucosa::noise::{Cells, Lattice, Vec3, exp, smoothstep};
+use crate::mucosa::tissue::{PLATEAU, plateau};
+use crate::pool::on_pool;
+use crate::simd::f32x64::{LANES, clamp, dot, max, min, sub};
+use numpy::ndarray::{ArrayView2, ArrayViewMut3, Axis};
 use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
+use rayon::prelude::*;
 
 /// Difference of distances along adjacent rays at an outline [m].
-const GAP: f32 = 1e-3;
+const STEP: f32 = 2.5e-3;
 /// Maximum angle over which a villus is drawn [rad]; those next to the dome are out of focus.
 const WIDEST: f32 = 0.11;
 /// Distance from the outline to the wall whose radiance villi take [px].
 const INWARD: f32 = 1.5;
-/// Seeds of the cells and of the variation of their lengths.
-const SEEDS: [u32; 2] = [0x7669_6c6c, 0x7669_6c68];
+/// Seeds of the cells, and of the variation of the lengths and of the gaps.
+const SEEDS: [u32; 3] = [0x7669_6c6c, 0x7669_6c68, 0x7669_6c67];
+/// Pixels from villus to villus below which gaps are invisible, and from which they are drawn fully.
+const RESOLVED: [f32; 2] = [2.0, 3.5];
+/// Distance over which gaps vary [villi], and the relative amount.
+const PATCH: f32 = 8.0;
+const UNEVEN: f32 = 0.5 / 0.76;
+/// Optical density of a gap in red, green and blue relative to green.
+const GAP_COLOR: [f32; 3] = [0.7, 1.0, 1.1];
 /// Relative length in the gaps between villi, and difference of the distances to the nearest two
 /// centers at which a villus has its full length [cells].
 const GROUND: f32 = 0.25;
@@ -29,7 +40,8 @@ const SPREAD: f32 = 0.3 / 0.76;
 /// Maximum length relative to the mean.
 const TALLEST: f32 = 1.5;
 
-/// Channels of an image: distance along each ray [h w] in meters, NaN where there is no surface; face [h w],
+/// Channels of an image: distance along each ray [h w] in meters, NaN where there is no surface;
+/// face [h w],
 /// negative there; weights of its first two corners [h w 2]; label [h w]; and label of the foreground
 /// [h w], 0 where nothing is in front of the wall.
 pub type GivenSeen<'py> = (
@@ -50,8 +62,10 @@ struct Seen<'a> {
     weights: &'a [f32],
     /// Label of the foreground, 0 for none.
     hidden: &'a [u8],
-    /// Mean length of the villi [m], 0 for none.
+    /// Mean length of the villi that stands out [m], 0 for none.
     length: Vec<f32>,
+    /// Optical density of the gaps between villi, 0 for none.
+    gaps: Vec<f32>,
 }
 
 /// Pixel of an outline.
@@ -67,34 +81,43 @@ struct Outline {
 
 /// Draws villi into planes [3 h w], in place.
 ///
-/// `lengths` [256] are those of villi by label [m]; `wall` are vertices [n 3] and faces [m 3] at
-/// rest; `spacing` is the distance between villi [m], `focal` the number of pixels per radian.
+/// `by_label` [2 256] are the lengths of villi [m] and the densities of the gaps between them;
+/// `wall` are vertices [n 3] and faces [m 3] at rest; `spacing` is the distance between villi [m],
+/// `focal` the number of pixels per radian.
 ///
 /// # Errors
 /// If arrays differ in size, or a face or vertex does not exist.
 #[pyfunction]
 pub fn raise_villi(
+    py: Python<'_>,
     mut planes: PyReadwriteArray3<'_, f32>,
     seen: GivenSeen<'_>,
     wall: (PyReadonlyArray2<'_, f64>, PyReadonlyArray2<'_, i64>),
-    lengths: [f32; 256],
+    by_label: [[f32; 256]; 2],
     spacing: f32,
     focal: f32,
 ) -> PyResult<()> {
-    let seen = Seen::of(&seen, &lengths)?;
-    if planes.shape() != [3, seen.size.0, seen.size.1] || !(spacing > 0.0 && focal > 0.0) {
+    let seen = Seen::of(&seen, &by_label)?;
+    if planes.shape() != [3, seen.size.0, seen.size.1] {
         return Err(PyValueError::new_err("Planes must be of the channels' size (3, h, w)."));
     }
-    let pixels = seen.outlines();
-    let places = seen.places(&pixels, wall.0.as_array(), wall.1.as_array())?;
-    let outlines = seen.grow(&pixels, &places, spacing, focal);
-    seen.paint(&outlines, &mut planes.as_array_mut());
-    Ok(())
+    if !(spacing > 0.0 && focal > 0.0) {
+        return Err(PyValueError::new_err("Spacing and focal length must be above 0."));
+    }
+    let (mut image, vertices, faces) =
+        (planes.as_array_mut(), wall.0.as_array(), wall.1.as_array());
+    on_pool(py, || {
+        let places = seen.places(vertices, faces)?;
+        seen.shade(&places, &mut image, spacing);
+        let outlines = seen.grow(&seen.outlines(), &places, spacing, focal);
+        seen.paint(&outlines, &mut image);
+        Ok(())
+    })
 }
 
 impl<'a> Seen<'a> {
     /// Surfaces, given the lengths of villi by label.
-    fn of(given: &'a GivenSeen<'_>, lengths: &[f32; 256]) -> PyResult<Self> {
+    fn of(given: &'a GivenSeen<'_>, by_label: &[[f32; 256]; 2]) -> PyResult<Self> {
         let (distance, face, weights, label, hidden) = given;
         let [rows, columns] = distance.shape()[..] else { unreachable!("two dimensions") };
         let fits = face.shape() == [rows, columns]
@@ -104,10 +127,13 @@ impl<'a> Seen<'a> {
         if !fits {
             return Err(PyValueError::new_err("Channels must be of one size (h, w)."));
         }
-        let length = label.as_slice()?.iter().map(|&label| lengths[usize::from(label)]).collect();
+        let label = label.as_slice()?;
+        let [length, gaps] = by_label
+            .each_ref()
+            .map(|values| label.iter().map(|&label| values[usize::from(label)]).collect());
         let (distance, face) = (distance.as_slice()?, face.as_slice()?);
         let (weights, hidden) = (weights.as_slice()?, hidden.as_slice()?);
-        Ok(Seen { size: (rows, columns), distance, face, weights, hidden, length })
+        Ok(Seen { size: (rows, columns), distance, face, weights, hidden, length, gaps })
     }
 
     /// Pixels next to a ray that passes the wall's outline.
@@ -121,7 +147,7 @@ impl<'a> Seen<'a> {
                 if !has_villi || self.hidden[pixel] != 0 {
                     continue;
                 }
-                let beyond = self.distance[pixel] + GAP;
+                let beyond = self.distance[pixel] + STEP;
                 let around = [pixel - columns, pixel - 1, pixel + 1, pixel + columns];
                 if around.iter().any(|&next| self.distance[next] > beyond) {
                     found.push(pixel);
@@ -131,15 +157,17 @@ impl<'a> Seen<'a> {
         found
     }
 
-    /// Positions of pixels on the wall at rest [m].
+    /// Positions of pixels on the wall at rest [m]; NaN where there are no villi.
     fn places(
         &self,
-        pixels: &[usize],
         vertices: ArrayView2<'_, f64>,
         faces: ArrayView2<'_, i64>,
     ) -> PyResult<Vec<Vec3>> {
         let missing = || PyValueError::new_err("A face or vertex does not exist.");
-        let place = |&pixel: &usize| {
+        let place = |pixel: usize| {
+            if !self.has_villi(pixel) {
+                return Ok([f32::NAN; 3]);
+            }
             let face = usize::try_from(self.face[pixel]).ok().filter(|&face| face < faces.nrows());
             let corners = faces.row(face.ok_or_else(missing)?);
             let [first, second] = [self.weights[2 * pixel], self.weights[2 * pixel + 1]];
@@ -153,7 +181,61 @@ impl<'a> Seen<'a> {
             }
             Ok(place)
         };
-        pixels.iter().map(place).collect()
+        (0..self.face.len()).into_par_iter().map(place).collect()
+    }
+
+    /// Check that a pixel shows wall with villi and nothing in front of it.
+    fn has_villi(&self, pixel: usize) -> bool {
+        self.length[pixel] + self.gaps[pixel] > 0.0
+            && self.face[pixel] >= 0
+            && self.hidden[pixel] == 0
+    }
+
+    /// Darkens the gaps between villi that are seen from above.
+    fn shade(&self, places: &[Vec3], planes: &mut ArrayViewMut3<'_, f32>, spacing: f32) {
+        let columns = self.size.1;
+        let (cells, patches) =
+            (Cells::new(SEEDS[0], spacing), Lattice::new(SEEDS[2], PATCH * spacing));
+        let mut lines: Vec<_> = planes.axis_iter_mut(Axis(1)).collect();
+        lines.par_iter_mut().enumerate().for_each(|(y, line)| {
+            for start in (0..columns).step_by(LANES) {
+                let count = LANES.min(columns - start);
+                let (mut lanes, mut weights, mut any) = ([[0.0; LANES]; 3], [0.0; LANES], false);
+                for i in 0..count {
+                    let pixel = y * columns + start + i;
+                    weights[i] = self.gaps[pixel] * self.resolved(places, pixel, spacing);
+                    if weights[i] > 0.0 {
+                        any = true;
+                        for k in 0..3 {
+                            lanes[k][i] = places[pixel][k];
+                        }
+                    }
+                }
+                if !any {
+                    continue;
+                }
+                let borders = cells.borders(&lanes);
+                let uneven = patches.gradients(&lanes);
+                for i in 0..count {
+                    let amount = weights[i] * clamp(1.0 + UNEVEN * uneven[i], 0.0, 2.0);
+                    let density = amount * (PLATEAU - plateau(borders[i]));
+                    for k in 0..3 {
+                        line[[k, start + i]] *= exp(-GAP_COLOR[k] * density);
+                    }
+                }
+            }
+        });
+    }
+
+    /// Weight of the gaps at a pixel: 1 if pixels resolve them, 0 if they do not.
+    fn resolved(&self, places: &[Vec3], pixel: usize, spacing: f32) -> f32 {
+        let apart = |next: usize| {
+            let step = places.get(next).map_or([f32::NAN; 3], |&next| sub(next, places[pixel]));
+            dot(step, step).sqrt()
+        };
+        let (right, down) = (apart(pixel + 1), apart(pixel + self.size.1));
+        let pixels = spacing / max(right, down);
+        if (right + down).is_nan() { 0.0 } else { smoothstep(RESOLVED[0], RESOLVED[1], pixels) }
     }
 
     /// Villi of the pixels of outlines.
@@ -161,15 +243,16 @@ impl<'a> Seen<'a> {
         let (cells, lengths) =
             (Cells::new(SEEDS[0], spacing), Lattice::new(SEEDS[1], 1.5 * spacing));
         let mut outlines = Vec::with_capacity(pixels.len());
-        for (pixels, places) in pixels.chunks(LANES).zip(places.chunks(LANES)) {
+        for pixels in pixels.chunks(LANES) {
             let mut lanes = [[0.0; LANES]; 3];
-            for (i, place) in places.iter().enumerate() {
+            for (i, &pixel) in pixels.iter().enumerate() {
                 for k in 0..3 {
-                    lanes[k][i] = place[k];
+                    lanes[k][i] = places[pixel][k];
                 }
             }
             let borders = cells.borders(&lanes);
-            for (i, (&pixel, &place)) in pixels.iter().zip(places).enumerate() {
+            for (i, &pixel) in pixels.iter().enumerate() {
+                let place = places[pixel];
                 let middle = min(borders[i] / SHOULDER, 1.0).sqrt();
                 let varied = clamp(1.0 + SPREAD * lengths.gradient(place), 0.3, TALLEST);
                 let profile = GROUND + (1.0 - GROUND) * middle;
@@ -197,7 +280,7 @@ impl<'a> Seen<'a> {
             // Tips let light through.
             let along = min(apart / length, 1.0);
             let (opacity, tone) =
-                (covered * (1.0 - 0.25 * along), (0.65 + 0.3 * middle) * (1.0 - 0.2 * along));
+                (covered * (1.0 - 0.25 * along), (0.55 + 0.3 * middle) * (1.0 - 0.2 * along));
             let villus = color(self.inside(base, pixel, apart), planes).map(|x| x * tone);
             let behind = color(pixel, planes);
             drawn.push((pixel, [0, 1, 2].map(|k| behind[k] + opacity * (villus[k] - behind[k]))));
@@ -214,7 +297,7 @@ impl<'a> Seen<'a> {
         let (rows, columns) = self.size;
         let mut nearest = vec![(i32::MAX, 0usize); rows * columns];
         for (k, outline) in outlines.iter().enumerate() {
-            let beyond = self.distance[outline.pixel] + 0.5 * GAP;
+            let beyond = self.distance[outline.pixel] + 0.5 * STEP;
             let reach = (outline.longest + 1.0) as i32;
             let (y, x) = ((outline.pixel / columns) as i32, (outline.pixel % columns) as i32);
             for row in (y - reach).max(0)..=(y + reach).min(rows as i32 - 1) {
@@ -243,7 +326,7 @@ impl<'a> Seen<'a> {
         };
         let (y, x) = (base / columns, base % columns);
         let inside = step(y, behind / columns, rows) * columns + step(x, behind % columns, columns);
-        let is_same = (self.distance[inside] - self.distance[base]).abs() < 1.5 * GAP;
+        let is_same = (self.distance[inside] - self.distance[base]).abs() < 1.5 * STEP;
         if is_same { inside } else { base }
     }
 }

@@ -77,7 +77,7 @@ class Bubbles:
     stain: tuple[_NotNegative, _NotNegative, _NotNegative] = (0.0, 0.03, 0.1)
     meniscus: Annotated[float, Range(above=0.0, unit="m")] = 0.15 * MM
     shade: Annotated[float, Range(0.0, 1.0)] = 0.75
-    ripple: Annotated[float, Range(0.0, 0.5)] = 0.2
+    ripple: Annotated[float, Range(0.0, 0.5)] = 0.1
     roughness: Annotated[float, Range(above=0.0, max=1.0)] = 0.005
     color: tuple[_Fraction, _Fraction, _Fraction] = (0.5, 0.34, 0.2)
 
@@ -193,19 +193,21 @@ LIQUID_SEVERITIES: tuple[Liquid, ...] = tuple(
 
 @dataclass(frozen=True)
 class Medium:
-    """Turbid, bile-stained fluid in which the capsule is immersed.
+    """Bile-stained fluid in which the capsule is immersed, clear or turbid.
 
-    It fills the lumen between the capsule and the wall. Amounts differ along the gut: a fraction of
-    its length has fluid, whose density is log-normal and the same in all views at one
-    position. Within a view it forms clouds and flocs that stay where they are.
+    It fills the lumen between the capsule and the wall. Its stain is the same everywhere; turbidity
+    differs along the gut: a fraction of its length is turbid, with a density that is log-normal and
+    the same in all views at one position. Within a view it forms clouds and flocs that stay where
+    they are.
 
     Coefficients are those of small-bowel fluid by assumption: no measurements of turbidity in
     vivo are known. Bilirubin absorbs blue; particles that are larger than the wavelength scatter
     all colors alike, mostly forward.
 
     Attributes:
-        prevalence: Fraction of the gut's length with fluid.
+        prevalence: Fraction of the gut's length with turbid fluid.
         absorption: Absorption coefficient for red, green and blue at median density [1/m].
+        stain: Absorption coefficient for red, green and blue of the clear fluid, in addition [1/m].
         scattering: Scattering coefficient for red, green and blue at median density [1/m].
         anisotropy: Mean cosine g of the scattering angle.
         spread: Standard deviation of the logarithm of density along the gut.
@@ -219,6 +221,7 @@ class Medium:
 
     prevalence: Annotated[float, Range(0.0, 1.0)] = 1.0
     absorption: tuple[_Coefficient, _Coefficient, _Coefficient] = (12.0, 20.0, 75.0)
+    stain: tuple[_Coefficient, _Coefficient, _Coefficient] = (0.0, 0.0, 0.0)
     scattering: tuple[_Coefficient, _Coefficient, _Coefficient] = (120.0, 120.0, 120.0)
     anisotropy: Annotated[float, Range(min=0.0, below=1.0)] = 0.85
     spread: Annotated[float, Range(min=0.0, max=3.0)] = 0.0

@@ -108,10 +108,10 @@ MUCOSAE: dict[str, Mucosa] = {
         clearcoat=0.7,
     ),
     "small-bowel": Mucosa(
-        base_color=(0.340, 0.206, 0.103),
-        redness_variation=0.32,
+        base_color=(0.306, 0.222, 0.130),
+        redness_variation=0.22,
         patchiness=0.45,
-        patient_variation=(0.22, 0.3),
+        patient_variation=(0.12, 0.45),
         bile=0.75,
         vessel_contrast=0.06,
         pit_spacing=0.42 * MM,

@@ -78,10 +78,11 @@ class Immersion:
         """Resolve the settings of the model's contents."""
         self._model, self._seed = model, model.contents.seed
         self._medium, self._film = model.contents.medium_and_film
+        self._absorption = self._stain = (0.0, 0.0, 0.0)
         if self._medium is not None:
-            self._absorption = self._medium.absorption
-            if imaging.absorption is not None:
-                self._absorption = imaging.absorption(self._absorption)
+            absorbed = imaging.absorption or (lambda coefficients: coefficients)
+            self._absorption = absorbed(self._medium.absorption)
+            self._stain = absorbed(self._medium.stain)
             self._channels = imaging.channels
         self._views: dict[int, CameraView] = {}
         self._noise = int(stream(self._seed, "lumen/medium/clouds").integers(2**32))
@@ -93,7 +94,8 @@ class Immersion:
         s = self._model.arc_length_at(state.T_world_capsule)
         density = 0.0 if self._medium is None else self._medium.density(s, self._seed)
         depth = 0.0 if self._film is None else self._film.depth(s, self._seed)
-        return Amounts(s, density, depth) if density > 0.0 or depth > 0.0 else None
+        is_clear = density == depth == 0.0 and not any(self._stain)
+        return None if is_clear else Amounts(s, density, depth)
 
     def apply(
         self,
@@ -115,7 +117,7 @@ class Immersion:
             distance: Distance of the surface along each ray [m], NaN where there is none.
         """
         view = self._view(camera)
-        if self._medium is not None and amounts.density > 0.0:
+        if self._medium is not None and (amounts.density > 0.0 or any(self._stain)):
             pose = invert(self._model.T_world_patient) @ T_world_camera
             medium = self._core_medium(self._medium, amounts.density)
             veil, clear = _core.immerse(planes, view.rays, distance, view.start, pose, leds, medium)
@@ -138,11 +140,13 @@ class Immersion:
         scattering = [density * medium.scattering[k] for k in self._channels]
         absorption = [density * x for x in self._absorption]
         transport = [(1.0 - medium.anisotropy) * x for x in scattering]
+        absorbed = np.add(absorption, self._stain).tolist()
         albedos = [
-            s / (s + a) if s > 0.0 else 0.0 for s, a in zip(transport, absorption, strict=True)
+            s / (s + a) if s > 0.0 else 0.0 for s, a in zip(transport, absorbed, strict=True)
         ]
         return {
             "absorption": absorption,
+            "stain": self._stain,
             "scattering": scattering,
             "anisotropy": medium.anisotropy,
             "orders": [order_ratio(round(albedo, 4)) for albedo in albedos],

@@ -22,7 +22,7 @@ from vrcaps.camera.derive import focal_length_px
 from vrcaps.core.color import LINEAR, srgb_from_linear
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import triangle_areas
-from vrcaps.mucosa.mucosa import MUCOSAE
+from vrcaps.core.units import MM
 from vrcaps.organ.segments import find_segment
 from vrcaps.organ.surface import Appearance, OrganSurface, clearcoat_alpha, face_label, round_height
 from vrcaps.render.imaging import Imaging
@@ -68,17 +68,27 @@ def make_scene(organ: OrganSurface, settings: RenderSettings, imaging: Imaging) 
     )
 
 
+VILLUS_SPACING = 0.22 * MM
+"""Distance between villi: that of 20 per mm², the lower end of the range in adults, 20 to 40."""
+
+GAP_DENSITY = 0.7
+"""Optical density in green of the gaps between villi relative to their tips; chosen so that the
+texture of recorded frames approaches that of real frames (`vrcaps compare-looks`)."""
+
+
 @dataclass(frozen=True)
 class Villi:
-    """Villi of a wall at the outlines of folds; `rust/src/render/villi.rs` describes the method.
+    """Villi of a wall; `rust/src/render/villi.rs` describes the method.
 
     Attributes:
-        lengths: Mean length by label [m], 256 values.
+        lengths: Mean length by label that stands out at the outlines of folds [m], 256 values.
+        gaps: Optical density by label of the gaps between villi in green light, 256 values.
         vertices: Vertices at rest [m].
         faces: Vertex indices of each triangle.
     """
 
     lengths: tuple[float, ...]
+    gaps: tuple[float, ...]
     vertices: Float[np.ndarray, "n 3"]
     faces: Int64[np.ndarray, "m 3"]
 
@@ -100,8 +110,8 @@ class Villi:
         """
         seen = tuple(channels[name] for name in self.channels)
         wall, focal = (self.vertices, self.faces), focal_length_px(camera.lens)
-        spacing = MUCOSAE["small-bowel"].pit_spacing
-        _core.raise_villi(planes, seen, wall, self.lengths, spacing, focal)
+        by_label = (self.lengths, self.gaps)
+        _core.raise_villi(planes, seen, wall, by_label, VILLUS_SPACING, focal)
 
 
 def make_villi(organ: OrganSurface, settings: RenderSettings) -> Villi | None:
@@ -113,11 +123,13 @@ def make_villi(organ: OrganSurface, settings: RenderSettings) -> Villi | None:
     """
     segments = [find_segment(name) for name in organ.label_names[:256]]
     lengths = [segment.villi * settings.villi if segment else 0.0 for segment in segments]
+    pits = [segment.pits if segment and segment.villi > 0.0 else 0.0 for segment in segments]
+    gaps = [min(settings.villi, 1.0) * GAP_DENSITY * factor for factor in pits]
     if settings.light == "direct" or not any(lengths):
         return None
-    lengths += [0.0] * (256 - len(lengths))
+    rest = [0.0] * (256 - len(lengths))
     vertices, faces = np.asarray(organ.vertices, np.float64), np.asarray(organ.faces, np.int64)
-    return Villi(tuple(lengths), vertices, faces)
+    return Villi((*lengths, *rest), (*gaps, *rest), vertices, faces)
 
 
 _CELL_HEIGHT = 5e-6

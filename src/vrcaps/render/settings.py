@@ -38,9 +38,9 @@ class RenderSettings:
             radiosity; not available with direct light.
         denoise: Whether Open Image Denoise filters light beyond the first reflection; only with
             path tracing. Needs `pip install 'vrcaps[denoise]'`.
-        villi: Length of the villi at the outlines of folds in the small bowel relative to normal, 0
-            (none) to 2; not available with direct light. Only colors change: depth and labels are
-            those of the wall at the bases of the villi.
+        villi: Length of the villi of the small bowel relative to normal, 0 (none) to 2; below 1 the
+            gaps between them fade as well; not available with direct light. Only colors change:
+            depth and labels are those of the wall at the bases of the villi.
         mucus_film_um: Thickness of the mucus film on the wall [µm], 0 (dry) to 1000; default:
             the film of the organ's own appearance, which is wet.
         imaging: Illumination: white light of the capsule's LEDs, or narrow bands at 415 and 540

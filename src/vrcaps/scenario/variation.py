@@ -41,6 +41,7 @@ class Prevalence:
         preparations: Probability of each score of bowel preparation, from 3 down, which sets
             bubbles, chyme and liquid; empty for the three attributes above.
         medium: Mean fraction of the gut's length with turbid fluid.
+        stain: Median absorption of clear fluid, relative to `STAIN`.
         film: Mean fraction of the gut's length with a film on the dome.
     """
 
@@ -51,17 +52,24 @@ class Prevalence:
     liquid: tuple[float, ...] = (1.0,)
     preparations: tuple[float, ...] = ()
     medium: float = 0.0
+    stain: float = 0.0
     film: float = 0.0
 
+
+STAIN = (2.0, 5.0, 25.0)
+"""Median absorption of clear fluid in the small bowel for red, green and blue [1/m]: chosen so that
+blue falls from bright to dark parts of a frame as in real frames."""
 
 PREVALENCES: Mapping[str, Prevalence] = MappingProxyType(
     {
         "small-bowel": Prevalence(
-            {None: 0.92, "normal": 0.08}, (0.5, 0.78), bubbles=0.4, medium=0.35, film=0.4
+            {None: 0.92, "normal": 0.08}, (0.5, 0.78), bubbles=0.4, medium=0.35, stain=1.0, film=0.4
         ),
         "colon": Prevalence({None: 1.0}, (0.1, 0.35), bubbles=0.25, medium=0.15, film=0.3),
         "stomach": Prevalence({None: 1.0}, (0.1, 0.35), bubbles=0.3, medium=0.15, film=0.3),
-        "full-tract": Prevalence({None: 1.0}, (0.1, 0.35), bubbles=0.3, medium=0.25, film=0.4),
+        "full-tract": Prevalence(
+            {None: 1.0}, (0.1, 0.35), bubbles=0.3, medium=0.25, stain=0.5, film=0.4
+        ),
     }
 )
 """Prevalences by generated organ. All are assumed; those of the small bowel follow estimates from
@@ -111,7 +119,7 @@ def drawn_contents(contents: Contents, prevalence: Prevalence) -> Contents:
         "bubbles": _bubbles(prevalence.bubbles, stream(seed, "variation/bubbles")),
         "chyme": _chyme(prevalence.chyme, stream(seed, "variation/chyme")),
         "liquid": _severity(prevalence.liquid, seed, "liquid"),
-        "medium": _medium(prevalence.medium, stream(seed, "variation/medium")),
+        "medium": _medium(prevalence, stream(seed, "variation/medium")),
         "film": _film(prevalence.film, stream(seed, "variation/film")),
     }
     if prevalence.preparations:
@@ -165,23 +173,29 @@ def _chyme(mean: float, rng: np.random.Generator) -> Chyme | int:
     )
 
 
-def _medium(mean: float, rng: np.random.Generator) -> Medium | int:
-    """Turbid fluid of one patient: its prevalence, turbidity, and content of bile."""
-    prevalence = _fraction(mean, rng)
+def _medium(of: Prevalence, rng: np.random.Generator) -> Medium | int:
+    """Fluid of one patient: its stain, and prevalence, turbidity and bile of turbid fluid."""
+    prevalence = _fraction(of.medium, rng)
     turbidity = math.exp(float(rng.normal(0.0, 0.3)))
     bile = math.exp(float(rng.normal(0.0, 0.4)))
     flocs = float(rng.uniform(0.0, 500.0))
-    if prevalence == 0.0:
+    stain = of.stain * math.exp(float(rng.normal(0.0, 0.8)))
+    if prevalence == stain == 0.0:
         return 0
-    red, green, blue = (round(bile * x, 3) for x in Medium().absorption)
     scattering = round(turbidity * Medium().scattering[0], 3)
     return Medium(
         prevalence=prevalence,
-        absorption=(red, green, blue),
+        absorption=_scaled(bile, Medium().absorption),
         scattering=(scattering, scattering, scattering),
+        stain=_scaled(stain, STAIN),
         spread=0.6,
         floc_extinction=round(flocs, 2),
     )
+
+
+def _scaled(factor: float, color: tuple[float, float, float]) -> tuple[float, float, float]:
+    red, green, blue = (round(factor * x, 3) for x in color)
+    return red, green, blue
 
 
 def _film(mean: float, rng: np.random.Generator) -> Film | int:

@@ -24,7 +24,7 @@ const WIDEST: f32 = 0.11;
 const INWARD: f32 = 1.5;
 /// Seeds of the cells, and of the variation of the lengths and of the gaps.
 const SEEDS: [u32; 3] = [0x7669_6c6c, 0x7669_6c68, 0x7669_6c67];
-/// Pixels from villus to villus below which gaps are invisible, and from which they are drawn fully.
+/// Pixels between villi below which gaps are invisible, and from which they are drawn fully.
 const RESOLVED: [f32; 2] = [2.0, 3.5];
 /// Distance over which gaps vary [villi], and the relative amount.
 const PATCH: f32 = 8.0;
@@ -41,9 +41,8 @@ const SPREAD: f32 = 0.3 / 0.76;
 const TALLEST: f32 = 1.5;
 
 /// Channels of an image: distance along each ray [h w] in meters, NaN where there is no surface;
-/// face [h w],
-/// negative there; weights of its first two corners [h w 2]; label [h w]; and label of the foreground
-/// [h w], 0 where nothing is in front of the wall.
+/// face [h w], negative there; weights of its first two corners [h w 2]; label [h w]; and label of
+/// the foreground [h w], 0 where nothing is in front of the wall.
 pub type GivenSeen<'py> = (
     PyReadonlyArray2<'py, f32>,
     PyReadonlyArray2<'py, i32>,

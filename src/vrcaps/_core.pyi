@@ -417,7 +417,7 @@ def raise_villi(
     planes: NDArray[np.float32],
     seen: tuple[NDArray[Any], ...],
     wall: tuple[NDArray[np.float64], NDArray[np.int64]],
-    by_label: tuple[Sequence[float], Sequence[float]],
+    by_label: Sequence[Sequence[float]],
     spacing: float,
     focal: float,
 ) -> None: ...

@@ -207,7 +207,8 @@ class Child:
 
     def _stop(self) -> None:
         self._jobs.close()
-        os.waitpid(self._pid, 0)
+        with contextlib.suppress(ChildProcessError):  # in a fork of this process
+            os.waitpid(self._pid, 0)
 
 
 def main() -> None:

@@ -45,6 +45,10 @@ def test_recording_says_where_and_what_to_open(
     assert "Channels: rgb, depth, label." in text
     assert "sheet.png" in text
     assert (tmp_path / "o" / "sheet.png").is_file()
+    cli.main(f"record --organ {phantom} --out {tmp_path / 'o'} {FLAGS}".split())
+    again = " ".join(capsys.readouterr().out.split())
+    assert f"{tmp_path / 'o'} is complete: 3 frames of front." in again
+    assert "Recorded" not in again
 
 
 @pytest.mark.slow

@@ -36,8 +36,9 @@ def run_recording(scenario: Scenario, out: Path, *, threads: int | None = None) 
     """
     use_threads(threads)
     from vrcaps.recording.recorder import record
+    from vrcaps.recording.resume import is_recorded
 
-    started = time.perf_counter()
+    started, was_complete = time.perf_counter(), is_recorded(out)
     times: list[float] = []
     with progress_bars("recording", "simulating") as (advance, simulated):
 
@@ -48,7 +49,7 @@ def run_recording(scenario: Scenario, out: Path, *, threads: int | None = None) 
             advance(num_done, total)
 
         record(scenario, out, progress=progress, simulated=simulated)
-    _summarize(out, times, time.perf_counter() - started)
+    _summarize(out, [] if was_complete else times, time.perf_counter() - started)
 
 
 def _show_first_image(out: Path) -> None:
@@ -71,14 +72,19 @@ def use_threads(threads: int | None) -> None:
 
 
 def _summarize(out: Path, times: list[float], seconds: float) -> None:
-    """Print the path of the episode, its contents, the speed, and files to open."""
+    """Print the path of the episode, its contents, the speed, and files to open.
+
+    Without times, the episode was complete before.
+    """
     from vrcaps.recording.episode import read_episode
 
     episode = read_episode(out)
     cameras = ", ".join(camera.name for camera in episode.cameras)
-    console.print(
-        f"Recorded {len(episode)} frames of {cameras} into {out} in {seconds:.1f} s", end=""
-    )
+    frames = f"{len(episode)} frames of {cameras}"
+    if times:
+        console.print(f"Recorded {frames} into {out} in {seconds:.1f} s", end="")
+    else:
+        console.print(f"{out} is complete: {frames}", end="")
     if len(times) > 1 and times[-1] > times[0]:
         rate = (len(times) - 1) / (times[-1] - times[0])
         console.print(f" ({rate:.0f} frames per second once set up)", end="")

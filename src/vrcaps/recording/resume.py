@@ -30,6 +30,7 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.recording.episode import Episode
 from vrcaps.recording.frame_files import read_image, wall_path
 from vrcaps.recording.layout import (
+    COMPLETE,
     EPISODE_JSON,
     FRAMES_PARQUET,
     ORGAN_GLB,
@@ -132,6 +133,11 @@ def _difference(old: Any, new: Any, at: str = "") -> str:
     paths = {key: f"{at}.{key}" if at else key for key in {**old, **new}}
     differences = (_difference(old.get(key), new.get(key), path) for key, path in paths.items())
     return next(filter(None, differences), "")
+
+
+def is_recorded(out: Path) -> bool:
+    """Check whether a folder contains a complete episode."""
+    return (out / EPISODE_JSON).exists() and read_head(LocalFiles(out)).get("status") == COMPLETE
 
 
 def begin_episode(out: Path, head: dict[str, Any]) -> None:

@@ -83,7 +83,7 @@ class Inspect:
     """Mucosa of `vrcaps organ list` to apply to a mesh file in the figure."""
 
     picture: Path | None = None
-    """Figure to write; by default <file>-overview.png, or <name>-<seed>-overview.png of a generated
+    """Image to write; by default <file>-overview.png, or <name>-<seed>-overview.png of a generated
     organ, in the working directory."""
 
     def run(self) -> None:

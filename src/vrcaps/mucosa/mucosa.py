@@ -108,11 +108,11 @@ MUCOSAE: dict[str, Mucosa] = {
         clearcoat=0.7,
     ),
     "small-bowel": Mucosa(
-        base_color=(0.306, 0.222, 0.130),
+        base_color=(0.306, 0.222, 0.134),
         redness_variation=0.22,
         patchiness=0.45,
         patient_variation=(0.12, 0.45),
-        bile=0.75,
+        bile=0.55,
         vessel_contrast=0.06,
         pit_spacing=0.42 * MM,
         pit_slope=0.55,

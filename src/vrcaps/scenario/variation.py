@@ -56,7 +56,7 @@ class Prevalence:
     film: float = 0.0
 
 
-STAIN = (2.0, 5.0, 25.0)
+STAIN = (1.2, 3.0, 15.0)
 """Median absorption of clear fluid in the small bowel for red, green and blue [1/m]: chosen so that
 blue falls from bright to dark parts of a frame as in real frames."""
 

@@ -156,7 +156,7 @@ def test_every_mucosa_is_finite_and_plausible(tube, name):
     appearance = bake_appearance(tube, seed=3, mucosa=name, texels_per_mm=4.0)
     mean = decode(appearance.albedo).mean(axis=(0, 1))
     # Mucosa is red: in linear light, images of colonoscopes have 0.53 to 0.86 red and 0.03 to 0.18
-    # blue, capsule frames of the small bowel (WCEBleedGen, 1 to 99 %) 0.49 to 0.75 and 0.04 to 0.19.
+    # blue, capsule frames of the small bowel (WCEBleedGen, 1 to 99 %) 0.49 to 0.75, 0.04 to 0.19.
     red, green, blue = mean / mean.sum()
     assert (0.49 if name == "small-bowel" else 0.53) < red < 0.86
     assert 0.03 < blue < 0.19

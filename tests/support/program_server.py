@@ -185,6 +185,7 @@ class Child:
         os.close(answers[1])
         self._jobs, self._answers = os.fdopen(jobs[1], "w"), os.fdopen(answers[0])
         atexit.register(self._stop)
+        os.register_at_fork(after_in_child=lambda: atexit.unregister(self._stop))
 
     def run(self, code: str, *arguments: str, setup: str, timeout: float) -> int:
         """Run code with the folder, environment and streams of this process; its exit status."""
@@ -207,8 +208,7 @@ class Child:
 
     def _stop(self) -> None:
         self._jobs.close()
-        with contextlib.suppress(ChildProcessError):  # in a fork of this process
-            os.waitpid(self._pid, 0)
+        os.waitpid(self._pid, 0)
 
 
 def main() -> None:

@@ -3,7 +3,7 @@
 pub mod grid;
 pub(crate) mod noise;
 mod raster;
-pub mod tissue;
+pub(crate) mod tissue;
 mod vessels;
 
 use crate::pool::detached;

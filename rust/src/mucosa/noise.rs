@@ -66,7 +66,10 @@ pub struct Lattice {
     frequency: f32,
 }
 
-/// Scale that gives gradient noise a standard deviation of 0.76 (raw, it has 0.1909: the
+/// Standard deviation of gradient noise.
+pub const DEVIATION: f32 = 0.76;
+
+/// Scale that gives gradient noise this standard deviation (raw, it has 0.1909: the
 /// integral over a cell of the squared weights and offsets, for gradients uniform in a cube).
 const SCALE: f32 = 3.98;
 

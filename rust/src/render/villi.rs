@@ -7,7 +7,7 @@
 //! vary with cells on the wall at rest, so villi stay in their places while the wall moves. Only
 //! radiance changes; depth and labels are those of the wall.
 
-use crate::mucosa::noise::{Cells, Lattice, Vec3, exp, smoothstep};
+use crate::mucosa::noise::{Cells, DEVIATION, Lattice, Vec3, exp, smoothstep};
 use crate::mucosa::tissue::{PLATEAU, plateau};
 use crate::pool::on_pool;
 use crate::simd::f32x64::{LANES, clamp, dot, max, min, sub};
@@ -26,17 +26,17 @@ const INWARD: f32 = 1.5;
 const SEEDS: [u32; 3] = [0x7669_6c6c, 0x7669_6c68, 0x7669_6c67];
 /// Pixels between villi below which gaps are invisible, and from which they are drawn fully.
 const RESOLVED: [f32; 2] = [2.0, 3.5];
-/// Distance over which gaps vary [villi], and the relative amount.
+/// Distance over which gaps vary [villi], and the relative standard deviation.
 const PATCH: f32 = 8.0;
-const UNEVEN: f32 = 0.5 / 0.76;
+const UNEVEN: f32 = 0.5 / DEVIATION;
 /// Optical density of a gap in red, green and blue relative to green.
 const GAP_COLOR: [f32; 3] = [0.7, 1.0, 1.1];
 /// Relative length in the gaps between villi, and difference of the distances to the nearest two
 /// centers at which a villus has its full length [cells].
 const GROUND: f32 = 0.25;
 const SHOULDER: f32 = 0.55;
-/// Relative standard deviation of the lengths; that of the noise is 0.76.
-const SPREAD: f32 = 0.3 / 0.76;
+/// Relative standard deviation of the lengths.
+const SPREAD: f32 = 0.3 / DEVIATION;
 /// Maximum length relative to the mean.
 const TALLEST: f32 = 1.5;
 
@@ -142,8 +142,7 @@ impl<'a> Seen<'a> {
         for y in 1..rows.saturating_sub(1) {
             for x in 1..columns.saturating_sub(1) {
                 let pixel = y * columns + x;
-                let has_villi = self.length[pixel] > 0.0 && self.face[pixel] >= 0;
-                if !has_villi || self.hidden[pixel] != 0 {
+                if self.length[pixel] == 0.0 || !self.has_villi(pixel) {
                     continue;
                 }
                 let beyond = self.distance[pixel] + STEP;

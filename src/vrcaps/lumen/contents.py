@@ -59,24 +59,24 @@ class Bubbles:
         color: Linear color of the surroundings reflected by the film, with the wall behind.
     """
 
-    per_area: Annotated[float, Range(min=0.0)] = 0.8 / CM2
-    prevalence: Annotated[float, Range(0.0, 1.0)] = 1.0
+    per_area: _NotNegative = 0.8 / CM2
+    prevalence: _Fraction = 1.0
     raft_size: Annotated[float, Range(min=1.0, below=1e3)] = 6.0
     radius: float = 0.5 * MM
-    spread: Annotated[float, Range(min=0.0)] = 0.65
+    spread: _NotNegative = 0.65
     smallest: float = 0.05 * MM
     largest: float = 1.5 * MM
-    rising: Annotated[float, Range(0.0, 1.0)] = 0.4
-    burst_rate: Annotated[float, Range(min=0.0)] = 0.02
+    rising: _Fraction = 0.4
+    burst_rate: _NotNegative = 0.02
     on_dome: Annotated[int, Range(0, 1000)] = 0
-    landing_rate: Annotated[float, Range(min=0.0)] = 2.0
-    release_rate: Annotated[float, Range(min=0.0)] = 0.05
+    landing_rate: _NotNegative = 2.0
+    release_rate: _NotNegative = 0.05
     ior: Annotated[float, Range(above=1.0, below=3.0)] = 1.333
     border: Annotated[float, Range(above=0.0, below=1.0)] = 0.25
-    gleam: Annotated[float, Range(0.0, 1.0)] = 0.95
+    gleam: _Fraction = 0.95
     stain: tuple[_NotNegative, _NotNegative, _NotNegative] = (0.0, 0.03, 0.1)
     meniscus: Annotated[float, Range(above=0.0, unit="m")] = 0.15 * MM
-    shade: Annotated[float, Range(0.0, 1.0)] = 0.75
+    shade: _Fraction = 0.75
     ripple: Annotated[float, Range(0.0, 0.5)] = 0.1
     roughness: Annotated[float, Range(above=0.0, max=1.0)] = 0.005
     color: tuple[_Fraction, _Fraction, _Fraction] = (0.5, 0.34, 0.2)
@@ -131,15 +131,15 @@ class Chyme:
         white_color: Linear base color of white particles.
     """
 
-    per_area: Annotated[float, Range(min=0.0)] = 1.0 / CM2
-    prevalence: Annotated[float, Range(0.0, 1.0)] = 1.0
+    per_area: _NotNegative = 1.0 / CM2
+    prevalence: _Fraction = 1.0
     clump_size: Annotated[float, Range(min=1.0, below=1e3)] = 8.0
     radius: float = 0.35 * MM
-    spread: Annotated[float, Range(min=0.0)] = 0.45
+    spread: _NotNegative = 0.45
     smallest: float = 0.1 * MM
     largest: float = 1.5 * MM
-    settled: Annotated[float, Range(0.0, 1.0)] = 0.5
-    white: Annotated[float, Range(0.0, 1.0)] = 0.35
+    settled: _Fraction = 0.5
+    white: _Fraction = 0.35
     density: Annotated[float, Range(above=0.0, unit="kg/m³")] = 1050.0
     yellow_color: tuple[_Fraction, _Fraction, _Fraction] = (0.27, 0.205, 0.055)
     white_color: tuple[_Fraction, _Fraction, _Fraction] = (0.44, 0.37, 0.22)
@@ -219,7 +219,7 @@ class Medium:
         floc_color: Fraction of its extinction that a floc scatters, for red, green and blue.
     """
 
-    prevalence: Annotated[float, Range(0.0, 1.0)] = 1.0
+    prevalence: _Fraction = 1.0
     absorption: tuple[_Coefficient, _Coefficient, _Coefficient] = (12.0, 20.0, 75.0)
     stain: tuple[_Coefficient, _Coefficient, _Coefficient] = (0.0, 0.0, 0.0)
     scattering: tuple[_Coefficient, _Coefficient, _Coefficient] = (120.0, 120.0, 120.0)
@@ -267,7 +267,7 @@ class Film:
         patch_length: Distance of travel over which it changes [m].
     """
 
-    prevalence: Annotated[float, Range(0.0, 1.0)] = 1.0
+    prevalence: _Fraction = 1.0
     thickness: Annotated[float, Range(min=0.0, below=0.01, unit="m")] = 0.1 * MM
     scattering: Annotated[float, Range(min=0.0, unit="1/m")] = 1.0e4
     angle: Annotated[float, Range(above=0.0, below=1.0, unit="rad")] = 0.03

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from jaxtyping import Bool, Float, Int
+    from numpy.typing import NDArray
 
     from vrcaps.camera.camera import Camera
     from vrcaps.capsule.device import Device
@@ -78,7 +79,7 @@ class Immersion:
         """Resolve the settings of the model's contents."""
         self._model, self._seed = model, model.contents.seed
         self._medium, self._film = model.contents.medium_and_film
-        self._absorption = self._stain = (0.0, 0.0, 0.0)
+        self._is_stained = self._medium is not None and any(self._medium.stain)
         if self._medium is not None:
             absorbed = imaging.absorption or (lambda coefficients: coefficients)
             self._absorption = absorbed(self._medium.absorption)
@@ -94,8 +95,8 @@ class Immersion:
         s = self._model.arc_length_at(state.T_world_capsule)
         density = 0.0 if self._medium is None else self._medium.density(s, self._seed)
         depth = 0.0 if self._film is None else self._film.depth(s, self._seed)
-        is_clear = density == depth == 0.0 and not any(self._stain)
-        return None if is_clear else Amounts(s, density, depth)
+        is_seen = density > 0.0 or depth > 0.0 or self._is_stained
+        return Amounts(s, density, depth) if is_seen else None
 
     def apply(
         self,
@@ -117,18 +118,13 @@ class Immersion:
             distance: Distance of the surface along each ray [m], NaN where there is none.
         """
         view = self._view(camera)
-        if self._medium is not None and (amounts.density > 0.0 or any(self._stain)):
+        if self._medium is not None and (amounts.density > 0.0 or self._is_stained):
             pose = invert(self._model.T_world_patient) @ T_world_camera
             medium = self._core_medium(self._medium, amounts.density)
             veil, clear = _core.immerse(planes, view.rays, distance, view.start, pose, leds, medium)
-            # Multiple small-angle scattering along the path (Wells, J. Opt. Soc. Am. 59(6), 1969):
-            # each deflection acts on the rest of the path, hence the third of its variance.
-            mean = float(-np.log(np.maximum(clear[view.lit], 1e-6)).mean())
-            count = max(mean / -math.expm1(-mean), 1.0) if mean > 0.0 else 1.0
-            angle = math.sqrt((1.0 - self._medium.anisotropy) * count / 3.0)
-            sigma = min(angle * view.focal_px, 0.25 * camera.width)
-            _core.scatter_forward(planes, view.lit, 1.0 - clear, sigma)
-            planes += veil
+            if amounts.density > 0.0:  # clear fluid only absorbs
+                _scatter(planes, view, clear, self._medium.anisotropy)
+                planes += veil
         if self._film is not None and view.relief is not None and amounts.depth > 0.0:
             scattered = amounts.depth * view.relief(amounts.arc_length)
             count = max(amounts.depth / -math.expm1(-amounts.depth), 1.0)
@@ -150,7 +146,7 @@ class Immersion:
             "scattering": scattering,
             "anisotropy": medium.anisotropy,
             "orders": [order_ratio(round(albedo, 4)) for albedo in albedos],
-            "clouds": (medium.cloud_spread / _NOISE_DEVIATION, medium.cloud_size),
+            "clouds": ((density > 0.0) * medium.cloud_spread / _NOISE_DEVIATION, medium.cloud_size),
             "flocs": (min(density, 1.0) * medium.floc_extinction, medium.floc_size),
             "floc_color": medium.floc_color,
             "seed": self._noise,
@@ -171,6 +167,30 @@ class Immersion:
             focal = focal_length_px(camera.lens)
             self._views[key] = CameraView(camera, rays, lit, start, focal, relief)
         return self._views[key]
+
+
+def _scatter(
+    planes: Float[np.ndarray, "3 h w"],
+    view: CameraView,
+    clear: NDArray[np.float32],
+    anisotropy: float,
+) -> None:
+    """Blur light of the wall that turbid fluid scatters forward, in place.
+
+    Multiple small-angle scattering along the path (Wells, J. Opt. Soc. Am. 59(6), 1969): each
+    deflection acts on the rest of the path, hence the third of its variance.
+
+    Args:
+        planes: Radiance by color [W/(sr·m²)].
+        view: Constants of the camera.
+        clear: Fraction of the light that is not scattered [h w].
+        anisotropy: Mean cosine of the scattering angle.
+    """
+    mean = float(-np.log(np.maximum(clear[view.lit], 1e-6)).mean())
+    count = max(mean / -math.expm1(-mean), 1.0) if mean > 0.0 else 1.0
+    angle = math.sqrt((1.0 - anisotropy) * count / 3.0)
+    sigma = min(angle * view.focal_px, 0.25 * view.camera.width)
+    _core.scatter_forward(planes, view.lit, 1.0 - clear, sigma)
 
 
 @cache

@@ -55,12 +55,23 @@ def options(description: str, size: int) -> argparse.Namespace:
     return result.parse_args()
 
 
-def write_section(page: Path, script: Path, text: str, *, title: str | None = None) -> None:
-    """Write the section of a script into a page, replacing its previous one, and print it."""
+def write_section(
+    page: Path, script: Path, text: str, *, title: str | None = None, part: str = ""
+) -> None:
+    """Write the section of a script into a page, replacing its previous one, and print it.
+
+    Args:
+        page: Markdown file.
+        script: File of the script.
+        text: Markdown of the section.
+        title: Title of a new page; by default that of the page of this name.
+        part: Word that distinguishes the section from others of the script.
+    """
     titles = {PAGE.name: _TITLE, SPEED_PAGE.name: SPEED_TITLE}
     name = sections.module_of(script)
     words = iter(["python", "-m", name, *sys.argv[1:]])
     command = " ".join(word for word in words if word != "--out" or not next(words, ""))
     title = titles.get(page.name, "") if title is None else title
+    name = f"{name} {part}".strip()
     sections.write_section(page, name, text, command=command, title=title)
     print(text)

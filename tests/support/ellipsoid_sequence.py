@@ -1,5 +1,6 @@
 """Frames of a camera that moves in an ellipsoid: all channels in closed form, for any lens."""
 
+from dataclasses import replace
 from functools import cache, partial
 
 import numpy as np
@@ -28,6 +29,36 @@ def ellipsoid_sequence(
     load = partial(_channel, camera, poses)
     labels = ("background", "left", "right")
     return FrameSequence(name, CHANNELS, values, load, camera, labels)
+
+
+def spotted_sequence(lens, side, *, frames):
+    """Square images and depth of the path, with the wall spotted all over, for SIFT features."""
+    plain = ellipsoid_sequence(lens, side, side, frames=frames)
+    chance = np.random.default_rng(4)
+    waves = chance.standard_normal((60, 3)) * chance.uniform(300.0, 1800.0, (60, 1))
+    phases = chance.uniform(0.0, 2.0 * np.pi, 60)
+
+    def load(channel: str, index: int) -> np.ndarray:
+        if channel != "rgb":
+            return plain.load(channel, index)
+        rays = lens.unproject(pixel_grid(side, side))
+        points = rays / rays[..., 2:] * plain.image("depth", index)[..., None]
+        pose = plain.Ts_world_camera[index]
+        world = transform_points(pose, points.reshape(-1, 3)).reshape(rays.shape)
+        value = 120.0 + 12.0 * np.sin(world @ waves.T + phases).sum(axis=-1)
+        return np.clip(np.nan_to_num(value)[..., None] * [1.0, 0.6, 0.5], 0, 255).astype(np.uint8)
+
+    return replace(plain, channels=("rgb", "depth"), load=load)
+
+
+def blanked(sequence, blank):
+    """Copy of a sequence whose frames of these indices show nothing."""
+
+    def load(channel: str, index: int) -> np.ndarray:
+        image = sequence.load(channel, index)
+        return np.full_like(image, 90) if channel == "rgb" and index in blank else image
+
+    return replace(sequence, load=load)
 
 
 def off_the_wall(points_world: np.ndarray) -> np.ndarray:

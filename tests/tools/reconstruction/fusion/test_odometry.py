@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.ellipsoid_sequence import ellipsoid_sequence
+from tests.support.ellipsoid_sequence import blanked, spotted_sequence
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.cli import main
 from vrcaps.core.errors import InputError
@@ -105,24 +105,7 @@ def _assert_near(found: np.ndarray, truth: np.ndarray, *, places: float) -> None
 
 
 def _textured(frames: int) -> FrameSequence:
-    """A run in the ellipsoid, whose wall is spotted all over."""
-    plain = ellipsoid_sequence(LENS, SIDE, SIDE, frames=frames)
-    chance = np.random.default_rng(4)
-    waves = chance.standard_normal((60, 3)) * chance.uniform(300.0, 1800.0, (60, 1))
-    phases = chance.uniform(0.0, 2.0 * np.pi, 60)
-
-    def load(channel: str, index: int) -> np.ndarray:
-        if channel != "rgb":
-            return plain.load(channel, index)
-        depth = plain.image("depth", index)
-        rays = LENS.unproject(np.stack(np.meshgrid(np.arange(SIDE), np.arange(SIDE)), axis=-1))
-        points = rays / rays[..., 2:] * depth[..., None]
-        pose = plain.Ts_world_camera[index]
-        world = transform_points(pose, points.reshape(-1, 3)).reshape(rays.shape)
-        value = 120.0 + 12.0 * np.sin(world @ waves.T + phases).sum(axis=-1)
-        return np.clip(np.nan_to_num(value)[..., None] * [1.0, 0.6, 0.5], 0, 255).astype(np.uint8)
-
-    return replace(plain, channels=("rgb", "depth"), load=load)
+    return spotted_sequence(LENS, SIDE, frames=frames)
 
 
 @pytest.mark.slow
@@ -137,17 +120,9 @@ def test_run_is_followed_through_a_fisheye_in_meters():
     np.testing.assert_allclose(scaled[:, :3, 3], 1.5 * found.Ts_first_camera[:, :3, 3], atol=1e-4)
 
 
-def _with_blank(sequence: FrameSequence, blank: set[int]) -> FrameSequence:
-    def load(channel: str, index: int) -> np.ndarray:
-        image = sequence.load(channel, index)
-        return np.full_like(image, 90) if channel == "rgb" and index in blank else image
-
-    return replace(sequence, load=load)
-
-
 def test_frames_that_show_nothing_are_left_out():
     sequence = _textured(4)
-    found = estimated_poses(_with_blank(sequence, {2}), OdometrySettings(num_features=300))
+    found = estimated_poses(blanked(sequence, {2}), OdometrySettings(num_features=300))
     assert found.frames.tolist() == [0, 1, 3]
     truth = sequence.Ts_world_camera[found.frames]
     _assert_near(found.Ts_first_camera, invert(truth[0]) @ truth, places=1e-4)
@@ -156,7 +131,7 @@ def test_frames_that_show_nothing_are_left_out():
 def test_bad_input_is_one_clear_line(tmp_path, capsys):
     sequence = _textured(3)
     with pytest.raises(InputError, match=r"No two of 3 frames of ball/front overlap"):
-        estimated_poses(_with_blank(sequence, {0, 1, 2}), OdometrySettings())
+        estimated_poses(blanked(sequence, {0, 1, 2}), OdometrySettings())
     with pytest.raises(InputError, match="ball/front has no calibrated camera, which odometry"):
         estimated_poses(replace(sequence, camera=None), OdometrySettings())
     with pytest.raises(InputError, match=r"reach is 0\. Allowed: 1 or more"):

@@ -1,4 +1,4 @@
-"""Write validation.md, benchmarks.md and summary.md of docs/results: `make figures`.
+"""Write validation.md, benchmarks.md, summary.md and paper.md of docs/results: `make figures`.
 
 Each command measures into a separate page; its section is copied into the page of docs/ when the
 command succeeds. Sections whose sources have not changed are skipped unless they are named, so an
@@ -26,7 +26,7 @@ from pathlib import Path
 
 from benchmarks.common.scripts import PAGE, ROOT, SPEED_PAGE, page_of
 from benchmarks.common.sections import accepted, sources, stamp_of, stamped
-from benchmarks.figures import summary
+from benchmarks.figures import paper, summary
 from vrcaps.cli.benchmarks.report import read_sections, write_page
 
 BUILD = ROOT / "build" / "figures"
@@ -110,6 +110,7 @@ KEPT = (
     "benchmarks.speed.cycles",
     "benchmarks.validation.lerobot",
     "benchmarks.validation.motion",
+    "benchmarks.validation.motion sinus",
 )
 """Sections that are kept if their requirements are missing; they state their sources."""
 
@@ -147,6 +148,7 @@ def main() -> None:
             failed += [] if good and enter(figure) else [figure.name]
     forget()
     summary.write()
+    paper.write()
     old = [f"{f.name} ({age(f)})" for f in FIGURES if not is_current(f)]
     for title, names in (("Failed", failed), ("Outdated", old)):
         print(*([f"{title}: {', '.join(names)}"] if names else []))

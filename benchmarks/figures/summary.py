@@ -97,7 +97,7 @@ FIGURES = (
         "relative RMSE ≤ {most relative RMSE}",
     ),
 )
-"""Measured property, its section, and its value: `{column | first cell}` of a row, or
+"""Measured property, its section, and its value: `{column | first cells}` of a row, or
 the `{least column}` or `{most column}` of all rows."""
 
 _TEXT = """# Summary
@@ -146,7 +146,8 @@ def find(rows: list[dict[str, str]], asked: str) -> str:
     """Cell selected by an entry of `FIGURES`."""
     column, bar, key = asked.partition(" | ")
     if bar:
-        found = [row[column] for row in rows if column in row and next(iter(row.values())) == key]
+        starts = [(" | ".join((*row.values(), "")), row) for row in rows if column in row]
+        found = [row[column] for start, row in starts if start.startswith(f"{key} | ")]
         return found[0] if found else _NOT_MEASURED
     pick, column = asked.split(" ", 1)
     cells = [row[column] for row in rows if re.match(r"[\d.]+", row.get(column, ""))]

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import re
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,7 +18,7 @@ from benchmarks.common.sections import (
 )
 from benchmarks.common.sources import ROOT
 from benchmarks.figures import __main__ as figures
-from benchmarks.figures import summary
+from benchmarks.figures import paper, summary
 from vrcaps.cli.benchmarks.report import read_sections, table, write_page
 
 
@@ -41,6 +43,8 @@ def test_figures_of_the_front_page_are_cells_of_the_tables() -> None:
     assert summary.find(rows, "most ms") == "12.0"
     assert summary.find(rows, "least ms") == "4.1 (3.9–5.0)"
     assert summary.find(rows, "ms | gone") == "not measured"
+    assert summary.find(rows, "ms | other | 12.0") == "12.0"
+    assert summary.find(rows, "ms | oth") == "not measured"
 
 
 _OTHER_PAGES = {
@@ -101,3 +105,56 @@ def test_accepted_sections_are_current(tmp_path: Path, monkeypatch: pytest.Monke
 def test_every_figure_of_the_front_page_is_of_a_section_that_is_measured() -> None:
     listed = {figure.name for figure in figures.FIGURES}
     assert {section for _, section, _ in summary.FIGURES} <= listed
+
+
+def test_the_page_of_the_paper_is_what_the_tables_and_commands_say() -> None:
+    page = paper.PAPER.read_text(encoding="utf-8")
+    assert paper.table_text() in page, "Run python -m benchmarks.figures.paper."
+    assert "not measured" not in paper.table_text()
+    conditions = page.partition("## Conditions")[2]
+    for one in paper.EXPERIMENTS:
+        assert f"`{one.command}`" in conditions
+        assert one.command.startswith("vrcaps ") or file_of(one.command.split()[2]).is_file()
+
+
+def test_an_experiment_without_data_is_skipped_and_a_failed_one_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(paper, "PAPER", tmp_path / "paper.md")
+    page = "# Page\n\n| task | VR-Caps | of old |\n| --- | --- | --- |\n\n## Conditions\n"
+    paper.PAPER.write_text(page, encoding="utf-8")
+    good, bad, lacking = (
+        replace(paper.EXPERIMENTS[0], name=name, command=f"python -c 'import {what}'", data=data)
+        for name, what, data in (
+            ("good", "sys", (("REAL", "give --real"),)),
+            ("bad", "no_such_module", ()),
+            ("lacking", "no_such_module", (("runs/none", "make it by `make none`"),)),
+        )
+    )
+    monkeypatch.setattr(paper, "EXPERIMENTS", (good, bad, lacking))
+    words = ["--real", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", ["paper", *words])
+    with pytest.raises(SystemExit) as ended:
+        paper.main()
+    assert ended.value.code == 0  # listed only
+    line = "lacking: python -c 'import no_such_module' (skipped: runs/none is missing; make it by"
+    assert line in capsys.readouterr().out
+    assert paper.PAPER.read_text("utf-8") == f"# Page\n\n{paper.table_text()}\n\n## Conditions\n"
+    monkeypatch.setattr(sys, "argv", ["paper", "--run", *words])
+    with pytest.raises(SystemExit, match=r"^Failed: bad$"):
+        paper.main()
+    monkeypatch.setattr(sys, "argv", ["paper", "--run", "--only", "good", *words])
+    with pytest.raises(SystemExit) as ended:
+        paper.main()
+    assert ended.value.code == 0
+
+
+def test_a_command_runs_in_this_interpreter_with_the_given_real_images() -> None:
+    by_name = {one.name: one for one in paper.EXPERIMENTS}
+    depth, bleeding = (by_name[name].words(Path("/data/a b")) for name in ("depth", "bleeding"))
+    assert depth[:2] == [sys.executable, "-c"] and depth[3:5] == ["evaluate", "depth"]
+    assert bleeding[:5] == [
+        *(sys.executable, "-m", "benchmarks.sim_to_real"),
+        *("--real", "/data/a b"),
+    ]

@@ -46,12 +46,13 @@ _TWIST = 20 * MM
 """Arc length in which the slit turns by half a radian [m]."""
 _FOLD_WAVES = 32
 """Number of waves of each of the two fields whose zeros are the creases between folds."""
-_FOLD_PITCHES, _MAX_LOBES = (1.5 * MM, 3.2 * MM), (2, 5)
+_FOLD_PITCHES, _MAX_LOBES = (2.2 * MM, 4.5 * MM), (2, 4)
 """Range of the wavelengths / 2π of these waves along the gut [m], and for each field the maximum
 number of waves around it."""
-_CREASE = 0.5
+_CREASE = 0.65
+_ROUND = 2.0
 """Half width of a crease, in deviations of its field."""
-_FOLD_SHARE, _FOLD_HEIGHT = 0.5, 3.0 * MM
+_FOLD_SHARE, _FOLD_HEIGHT = 0.4, 2.6 * MM
 """Height of the folds relative to √(R² − r²), and its maximum [m]."""
 _CREASE_DEPTH = 0.6
 """Depth of creases below the mean wall, relative to the height of the folds."""
@@ -173,17 +174,16 @@ class LumenClosure:
     def _folds(self) -> Float[np.ndarray, " n"]:
         """Relief of the buckled wall at each vertex: plump folds between narrow creases, mean 0."""
         s, theta = self.model.organ.arc_length, self.model.organ.theta
-        rng, total = self._rng("folds"), np.zeros(len(s))
+        rng, field = self._rng("folds"), np.zeros(len(s))
         for lobes, least in zip(_MAX_LOBES, (0, 2), strict=True):
             lobe = rng.integers(least, lobes + 1, _FOLD_WAVES) * rng.choice([-1, 1], _FOLD_WAVES)
             low, high = np.log(_FOLD_PITCHES)
             turns = np.exp(-rng.uniform(low, high, _FOLD_WAVES))
             phase = rng.uniform(0.0, 2.0 * np.pi, _FOLD_WAVES)
-            field = np.zeros(len(s))
             for n, k, p in zip(lobe, turns, phase, strict=True):
                 field += np.sin(k * s + n * theta + p)
-            field *= (2.0 / _FOLD_WAVES) ** 0.5
-            total += 0.5 * (1.0 - np.exp(-((np.abs(field) / _CREASE) ** 1.6)))
+        field /= _FOLD_WAVES**0.5
+        total = 1.0 - np.exp(-((np.abs(field) / _CREASE) ** _ROUND))
         return total - total.mean()
 
     @cached_property

@@ -30,7 +30,7 @@ PYLORUS_RADIUS = 6.6 * MM
 _PAPILLA = 9 * CM
 """Arc length of the major papilla, on the inner wall of the second part of the duodenum [m]."""
 _CALIBRE_SPREAD = 0.035
-_CREASE = 0.62
+_CREASE = 0.65
 """Half width of a crease, in deviations of the field whose zeros are the creases."""
 
 
@@ -87,18 +87,18 @@ class SlackFolds:
         self, s: Float[np.ndarray, " n"], theta: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, " n"]:
         """Height at places, 0 in the deepest creases and about 1 on the folds."""
-        around = _plump(sum_waves(self.across, s + sum_waves(self.warp, s, theta), theta))
-        pleats = _plump(sum_waves(self.along, s, theta))
+        around = sum_waves(self.across, s + sum_waves(self.warp, s, theta), theta)
+        pleats = sum_waves(self.along, s, theta)
         tone = sum_waves(self.tone, s, np.zeros(1))
         vary = sum_waves(self.height, s, theta)
-        height = np.clip(0.65 + 0.45 * tone, 0.08, 1.5) * np.clip(1.0 + vary, 0.3, 1.6)
-        share = 0.5 + 0.3 * np.sin(3.0 * tone)
-        return height * ((1.0 - 0.5 * share) * around + 0.5 * share * pleats)
+        height = np.clip(0.5 + 0.5 * tone, 0.05, 1.3) * np.clip(1.0 + vary, 0.3, 1.6)
+        turn = 0.25 * np.pi * (1.0 + 0.6 * np.sin(3.0 * tone))
+        return height * _plump(np.cos(turn) * around + np.sin(turn) * pleats)
 
 
 def _plump(field: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Profile of folds between the zeros of a field: rounded, with narrow creases."""
-    return 1.0 - np.exp(-((np.abs(field) / _CREASE) ** 1.6))
+    return 1.0 - np.exp(-((np.abs(field) / _CREASE) ** 2.0))
 
 
 @dataclass(frozen=True)

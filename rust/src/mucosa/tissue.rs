@@ -237,13 +237,13 @@ impl Tissue {
             + patchy * (0.6 * mottle + 0.3 * grain - patch)
             + mucosa.network * structure.mesh[i];
         let clumped = 0.35 + 0.65 * smoothstep(-1.4, 1.0, mottle + 0.6 * grain);
-        let redness = self.redness + mucosa.redness_variation * shade - 0.18 * crest
+        let redness = self.redness + mucosa.redness_variation * shade - 0.08 * crest
             + mucosa.pit_shade * gap * clumped;
         let film = patchy * smoothstep(0.6, 2.2, level);
         let stained = smoothstep(-1.3, 1.7, 0.8 * slow * places.region[i] + 1.3 * patchy * level);
         let pool = 0.15 + 1.8 * stained + 2.5 * film + 1.2 * valley;
         let stain = 1.0 + 4.0 * mucosa.pit_shade * gap * clumped;
-        let bile = mucosa.bile * places.bile[i] * pool * (1.0 - 0.6 * crest) * stain;
+        let bile = mucosa.bile * places.bile[i] * pool * (1.0 - 0.4 * crest) * stain;
         let mut albedo = self.color(redness, bile, artery, vein);
         for c in 0..3 {
             albedo[c] += cover * (self.tint[c] - albedo[c]);

@@ -109,10 +109,10 @@ MUCOSAE: dict[str, Mucosa] = {
     ),
     "small-bowel": Mucosa(
         base_color=(0.306, 0.222, 0.134),
-        redness_variation=0.22,
+        redness_variation=0.19,
         patchiness=0.45,
         patient_variation=(0.12, 0.45),
-        bile=0.55,
+        bile=0.42,
         vessel_contrast=0.06,
         pit_spacing=0.42 * MM,
         pit_slope=0.55,

@@ -176,7 +176,7 @@ def _chyme(mean: float, rng: np.random.Generator) -> Chyme | int:
 def _medium(of: Prevalence, rng: np.random.Generator) -> Medium | int:
     """Fluid of one patient: its stain, and prevalence, turbidity and bile of turbid fluid."""
     prevalence = _fraction(of.medium, rng)
-    turbidity = math.exp(float(rng.normal(0.0, 0.3)))
+    turbidity = 0.8 * math.exp(float(rng.normal(0.0, 0.3)))
     bile = math.exp(float(rng.normal(0.0, 0.4)))
     flocs = float(rng.uniform(0.0, 500.0))
     stain = of.stain * math.exp(float(rng.normal(0.0, 0.8)))

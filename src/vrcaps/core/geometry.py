@@ -247,6 +247,22 @@ def smoothstep(x: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     return x * x * (3.0 - 2.0 * x)
 
 
+_CREASE = 0.65
+"""Half width of a crease between folds, in standard deviations of the field of folds."""
+
+
+def fold_profile(field: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """Height of folds between creases: 0 at the zeros of a field, 1 − exp(−(f/c)²) elsewhere.
+
+    The zeros of one smooth random field do not cross, so that folds are rounded strips without
+    corners; c is 0.65.
+
+    Args:
+        field: Field f of unit standard deviation.
+    """
+    return 1.0 - np.exp(-((field / _CREASE) ** 2))
+
+
 def triangle_normals(corners: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
     """Normal of each triangle by the right-hand rule; its length is twice the area [m²]."""
     return cross_products(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -60,6 +60,9 @@ STAIN = (1.2, 3.0, 15.0)
 """Median absorption of clear fluid in the small bowel for red, green and blue [1/m]: chosen so that
 blue falls from bright to dark parts of a frame as in real frames."""
 
+_TURBIDITY = 0.8
+"""Median scattering coefficient of turbid fluid, relative to that of `Medium`."""
+
 PREVALENCES: Mapping[str, Prevalence] = MappingProxyType(
     {
         "small-bowel": Prevalence(
@@ -176,7 +179,7 @@ def _chyme(mean: float, rng: np.random.Generator) -> Chyme | int:
 def _medium(of: Prevalence, rng: np.random.Generator) -> Medium | int:
     """Fluid of one patient: its stain, and prevalence, turbidity and bile of turbid fluid."""
     prevalence = _fraction(of.medium, rng)
-    turbidity = 0.8 * math.exp(float(rng.normal(0.0, 0.3)))
+    turbidity = _TURBIDITY * math.exp(float(rng.normal(0.0, 0.3)))
     bile = math.exp(float(rng.normal(0.0, 0.4)))
     flocs = float(rng.uniform(0.0, 500.0))
     stain = of.stain * math.exp(float(rng.normal(0.0, 0.8)))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.core.errors import require
-from vrcaps.core.geometry import invert, smoothstep, transform_points
+from vrcaps.core.geometry import fold_profile, invert, smoothstep, transform_points
 from vrcaps.core.rng import stream
 from vrcaps.core.units import MM
 from vrcaps.organ.surface import POCKETS, interpolate
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _LEAST = 0.4 * MM
 """Minimum radius of a closed lumen [m]: the film of fluid between folds in contact."""
-_SOFT = 0.9 * MM
+_SOFT = 2.2 * MM
 """Radius below which folds that meet are compressed [m]."""
 _REACH = 45 * MM
 """Distance from the capsule, along the gut, within which the lumen is closed [m]."""
@@ -45,13 +45,10 @@ _SLIT, _BEND = 4.0 * MM, 0.2
 _TWIST = 20 * MM
 """Arc length in which the slit turns by half a radian [m]."""
 _FOLD_WAVES = 32
-"""Number of waves of each of the two fields whose zeros are the creases between folds."""
+"""Number of waves of each of the two parts of the field whose zeros are the creases."""
 _FOLD_PITCHES, _MAX_LOBES = (2.2 * MM, 4.5 * MM), (2, 4)
-"""Range of the wavelengths / 2π of these waves along the gut [m], and for each field the maximum
+"""Range of the wavelengths / 2π of these waves along the gut [m], and for each part the maximum
 number of waves around it."""
-_CREASE = 0.65
-_ROUND = 2.0
-"""Half width of a crease, in deviations of its field."""
 _FOLD_SHARE, _FOLD_HEIGHT = 0.4, 2.6 * MM
 """Height of the folds relative to √(R² − r²), and its maximum [m]."""
 _CREASE_DEPTH = 0.6
@@ -172,7 +169,7 @@ class LumenClosure:
 
     @cached_property
     def _folds(self) -> Float[np.ndarray, " n"]:
-        """Relief of the buckled wall at each vertex: plump folds between narrow creases, mean 0."""
+        """Relief of the buckled wall at each vertex: rounded folds between creases, mean 0."""
         s, theta = self.model.organ.arc_length, self.model.organ.theta
         rng, field = self._rng("folds"), np.zeros(len(s))
         for lobes, least in zip(_MAX_LOBES, (0, 2), strict=True):
@@ -183,8 +180,8 @@ class LumenClosure:
             for n, k, p in zip(lobe, turns, phase, strict=True):
                 field += np.sin(k * s + n * theta + p)
         field /= _FOLD_WAVES**0.5
-        total = 1.0 - np.exp(-((np.abs(field) / _CREASE) ** _ROUND))
-        return total - total.mean()
+        relief = fold_profile(field)
+        return relief - relief.mean()
 
     @cached_property
     def _slit(self) -> Float[np.ndarray, "n 3"]:
@@ -251,7 +248,8 @@ class LumenClosure:
         narrow = self.radius * np.exp(-0.9 * tone)
         slit = min(_SLIT, 2.0 * self.radius) * np.exp(-0.4 * tone)
         top = np.minimum(_FOLD_SHARE * mean, _FOLD_HEIGHT)
-        reach = narrow + 0.5 * slit + _CREASE_DEPTH * top
+        # A quarter of the softness bounds what the smooth maximum adds to radii above 2 mm.
+        reach = narrow + 0.5 * slit + _CREASE_DEPTH * top + 0.25 * _SOFT
         fit = np.minimum(mean / reach, 1.0)
         # The closed lumen stays within the wall at rest, and its sections do not cross in bends.
         room = mean - fit * reach

@@ -2,7 +2,7 @@
 
 Circular folds, each over part of the circumference, stand on a tube that narrows towards the
 ileocaecal valve. At contractions the slack wall closes to a star. A wall without gas or fluid
-buckles into plump, irregular folds in contact with each other.
+buckles into rounded, irregular folds in contact with each other.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import scipy
 
 from vrcaps.anatomy.small_bowel.parameters import BULB_LENGTH
 from vrcaps.anatomy.tube_mesh.swept_surface import Folds, draw_waves, sum_waves, within_bend, wrap
-from vrcaps.core.geometry import smoothstep
+from vrcaps.core.geometry import fold_profile, smoothstep
 from vrcaps.core.units import CM, MM
 
 if TYPE_CHECKING:
@@ -30,8 +30,6 @@ PYLORUS_RADIUS = 6.6 * MM
 _PAPILLA = 9 * CM
 """Arc length of the major papilla, on the inner wall of the second part of the duodenum [m]."""
 _CALIBRE_SPREAD = 0.035
-_CREASE = 0.65
-"""Half width of a crease, in deviations of the field whose zeros are the creases."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +53,11 @@ class Contractions:
 
 @dataclass(frozen=True)
 class SlackFolds:
-    """Plump folds of a slack wall: the level sets of two random fields are the creases.
+    """Rounded folds of a slack wall: the zeros of the sum of two random fields are the creases.
 
     Attributes:
-        across: Field whose creases run mostly around the gut.
-        along: Field whose creases run mostly along the gut.
+        across: Field with zeros mostly around the gut.
+        along: Field with zeros mostly along the gut.
         warp: Displacement of the creases along the gut [m].
         height: Relative height by place.
         tone: Relative height by arc length: smooth stretches alternate with puckered ones.
@@ -93,12 +91,7 @@ class SlackFolds:
         vary = sum_waves(self.height, s, theta)
         height = np.clip(0.5 + 0.5 * tone, 0.05, 1.3) * np.clip(1.0 + vary, 0.3, 1.6)
         turn = 0.25 * np.pi * (1.0 + 0.6 * np.sin(3.0 * tone))
-        return height * _plump(np.cos(turn) * around + np.sin(turn) * pleats)
-
-
-def _plump(field: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Profile of folds between the zeros of a field: rounded, with narrow creases."""
-    return 1.0 - np.exp(-((np.abs(field) / _CREASE) ** 2.0))
+        return height * fold_profile(np.cos(turn) * around + np.sin(turn) * pleats)
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ class SmallBowelParameters:
         contraction_depth: Fraction of the radius taken by a contraction.
         longitudinal_fold_depth: Depth of the longitudinal folds of the slack wall, as a fraction of
             the radius.
-        slack_fold_height: Height of the rounded folds into which a wall without gas or fluid buckles
+        slack_fold_height: Height of the folds into which a wall without gas or fluid buckles
             [m].
         closed_radius: Mean radius to which the slack wall closes the lumen next to the
             capsule [m], see `vrcaps.world.wall_displacement`; 0 leaves it open.

@@ -294,10 +294,10 @@ class Film:
 
 MEDIUM_SEVERITIES: tuple[Medium | None, ...] = (
     None,
-    Medium(absorption=(6.0, 10.0, 38.0), scattering=(50.0, 50.0, 50.0)),
+    Medium(absorption=(4.0, 12.0, 46.0), scattering=(50.0, 50.0, 50.0)),
     Medium(),
-    Medium(absorption=(20.0, 32.0, 130.0), scattering=(250.0, 250.0, 250.0), floc_extinction=300.0),
-    Medium(absorption=(30.0, 48.0, 200.0), scattering=(500.0, 500.0, 500.0), floc_extinction=900.0),
+    Medium(absorption=(15.0, 46.0, 180.0), scattering=(250.0, 250.0, 250.0), floc_extinction=300.0),
+    Medium(absorption=(23.0, 70.0, 275.0), scattering=(500.0, 500.0, 500.0), floc_extinction=900.0),
 )
 """Turbid fluid by severity, 0 (none) to 4 (mean free path 2 mm); assumed."""
 

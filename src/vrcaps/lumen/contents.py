@@ -299,7 +299,7 @@ MEDIUM_SEVERITIES: tuple[Medium | None, ...] = (
     Medium(absorption=(15.0, 46.0, 180.0), scattering=(250.0, 250.0, 250.0), floc_extinction=300.0),
     Medium(absorption=(23.0, 70.0, 275.0), scattering=(500.0, 500.0, 500.0), floc_extinction=900.0),
 )
-"""Turbid fluid by severity, 0 (none) to 4 (mean free path 2 mm); assumed."""
+"""Turbid fluid by severity, 0 (none) to 4 (mean free path of scattering 2 mm); assumed."""
 
 FILM_SEVERITIES: tuple[Film | None, ...] = (
     None,

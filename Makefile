@@ -62,7 +62,7 @@ test-servers: $(VENV)/.stamp-dev
 
 check: check-python check-rust
 
-check-python: $(VENV)/.stamp-dev
+check-python: $(VENV)/.stamp-packages
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
@@ -113,7 +113,12 @@ $(VENV)/.stamp-run: $(VENV)/.stamp-venv $(SOURCES)
 	@$(INSTALL) --editable '.[organs,reports,video]'
 	@touch $@
 
-$(VENV)/.stamp-dev: $(VENV)/.stamp-venv $(SOURCES)
+$(VENV)/.stamp-packages: $(VENV)/.stamp-venv pyproject.toml constraints.txt
+	@echo "Installing development tools"
+	@$(INSTALL) --requirements pyproject.toml --extra dev
+	@touch $@
+
+$(VENV)/.stamp-dev: $(VENV)/.stamp-packages $(SOURCES)
 	@echo "Building and installing vrcaps with its development tools"
 	@$(INSTALL) --editable '.[dev]'
 	@touch $(VENV)/.stamp-run $@

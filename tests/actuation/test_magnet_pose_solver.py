@@ -115,7 +115,7 @@ def test_pose_is_the_twins(source, workspace):
     rng = np.random.default_rng(2)
     earth = UniformField(5e-5, T_world_magnet=magnet_pose((0, 0, 0), EARTH))
     solver = MagnetPoseSolver(SourceSet([source, earth]), MAGNETS, workspace)
-    for rounds in [3, 8, 20] * 3:
+    for rounds in [3, 8, 20] * 2:
         capsule = magnet_pose(rng.uniform(-0.02, 0.02, 3), rng.normal(size=3))
         start = solver.initial_guess(capsule, np.array([0, 0, 1]) + 0.5 * rng.normal(size=3), 0.3)
         target = WrenchTarget(

@@ -26,8 +26,8 @@ from vrcaps.tools.ct.surface import (
 
 @pytest.fixture(scope="module")
 def organ() -> OrganSurface:
-    """The colon of patient 0, without its mucosa."""
-    return generate_colon(draw_patient_anatomy(0).colon, seed=0)
+    """The colon of patient 0 with large triangles, without its mucosa."""
+    return generate_colon(replace(draw_patient_anatomy(0).colon, triangles=20_000), seed=0)
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from tests.support.small_envs import small_env
 from tests.support.tubes import straight_gut, textured
 from tests.support.waiting import WATCHDOG
 from vrcaps import _core
+from vrcaps.camera.derive import scaled_camera
 from vrcaps.capsule.device_file import read_device
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
@@ -32,8 +34,10 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:This process:DeprecationWarning"),
 ]
 
+DEVICE = read_device("mirocam")
 MODEL = Model(
-    textured(straight_gut({"colon": 0.12}, radius=0.015, edge=4e-3)), read_device("mirocam")
+    textured(straight_gut({"colon": 0.12}, radius=0.015, edge=4e-3)),
+    replace(DEVICE, cameras=(scaled_camera(DEVICE.cameras[0], 0.3),)),
 )
 RENDERER = Renderer(MODEL)
 

@@ -5,13 +5,23 @@ import sys
 
 import pytest
 
+from tests.support.coarse_organs import COARSE
+from tests.support.programs import run_program
 from vrcaps.cli.benchmarks import record
 from vrcaps.core.errors import InputError
 
 
+def run_module(command: list[str], **_: object) -> subprocess.CompletedProcess[str]:
+    """Run a module as a process does, with small images."""
+    assert command[:2] == [sys.executable, "-m"]
+    code = f"import runpy; runpy.run_module({command[2]!r}, run_name='__main__')"
+    return run_program(code, *command[3:], setup=COARSE, is_loaded=True)
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("coarse_organs")
-def test_a_short_recording_is_measured() -> None:
+def test_a_short_recording_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subprocess, "run", run_module)
     report = record.measure(num_frames=2, num_runs=1)
     *rates, memory = report.claims
     for rate in rates:

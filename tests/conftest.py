@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.coarse_organs import TEXELS_PER_MM, fill_cache
+from tests.support.coarse_organs import fill_cache, patch_looks
 from tests.support.once import one_worker, shared_folder
 from vrcaps import _core
 
@@ -53,10 +53,10 @@ def coarse_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def coarse_organs(coarse_cache: Path) -> Iterator[None]:
-    """Organs of the catalog are coarse, in programs that a test starts too; so are textures."""
+    """Organs, textures and images of the catalog are coarse, in programs of a test too."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("VRCAPS_CACHE", str(coarse_cache))
-        patch.setattr("vrcaps.mucosa.bake.DEFAULT_TEXELS_PER_MM", TEXELS_PER_MM)
+        patch_looks(patch)
         yield
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.coarse_organs import COARSE_BAKING
+from tests.support.coarse_organs import COARSE
 from tests.support.programs import run_program
 from vrcaps import cli
 from vrcaps.cli.record import Record
@@ -25,7 +25,7 @@ EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
 def output_of(program: Path, folder: Path, *arguments: str) -> str:
     """Text printed by a program in a folder; its warnings, and those of vrcaps, are errors."""
     result = run_program(
-        program, *arguments, folder=folder, warnings="vrcaps|__main__", setup=COARSE_BAKING,
+        program, *arguments, folder=folder, warnings="vrcaps|__main__", setup=COARSE,
         is_loaded=True,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr

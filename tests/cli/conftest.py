@@ -1,5 +1,5 @@
 """Textures of organs that commands bake or unfold are coarse."""
 
-from tests.support.coarse_organs import coarse_textures
+from tests.support.coarse_organs import coarse_looks
 
-__all__ = ["coarse_textures"]
+__all__ = ["coarse_looks"]

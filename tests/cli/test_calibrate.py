@@ -30,6 +30,11 @@ CAMERA = replace(
 
 
 @pytest.fixture(scope="module")
+def coarse_looks() -> None:
+    """Images of the catalog are whole: a calibration scales its own to them."""
+
+
+@pytest.fixture(scope="module")
 def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of six pictures of a tilted board, and one of nothing."""
     folder = tmp_path_factory.mktemp("photos")

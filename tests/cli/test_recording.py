@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tests.support.coarse_organs import COARSE_BAKING
+from tests.support.coarse_organs import COARSE
 from tests.support.waiting import WATCHDOG, wait_until
 from vrcaps import cli
 from vrcaps.recording.episode import read_episode
@@ -116,7 +116,7 @@ def test_interrupted_recording_ends_in_one_line_and_goes_on(phantom: Path, tmp_p
     flags = f"record --organ {phantom} --unit mm --frames 400 --out {out}".split()
     # A shell's background job ignores Ctrl-C, and its children inherit that.
     listen = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
-    code = f"{listen}{COARSE_BAKING}from vrcaps.cli import main; main()"
+    code = f"{listen}{COARSE}from vrcaps.cli import main; main()"
     script = [sys.executable, "-c", code, *flags]
     process = subprocess.Popen(script, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     wait_until(lambda: list(out.glob("front/rgb/0000*.png")) or process.poll() is not None)
@@ -128,4 +128,4 @@ def test_interrupted_recording_ends_in_one_line_and_goes_on(phantom: Path, tmp_p
     assert "Traceback" not in text
     unfinished = read_episode(out, unfinished=True)
     assert unfinished.head["status"] == "recording"
-    assert unfinished.image("front", "rgb", 0).shape == (320, 320, 3)
+    assert unfinished.image("front", "rgb", 0).shape == (160, 160, 3)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.coarse_organs import COARSE_BAKING
+from tests.support.coarse_organs import COARSE
 from tests.support.programs import run_program
 
 ROOT = Path(__file__).parents[2]
@@ -114,6 +114,7 @@ SHORTER = (
         "TrainSettings(task)",
         'TrainSettings(task, start="scratch", steps=1, batch=1, evaluate_every=1)',
     ),
+    ("style=7e-5)", "style=7e-5, size=64)"),
     ('PPO("MultiInputPolicy", envs)', 'PPO("MultiInputPolicy", envs, n_steps=16)'),
 )
 PAGES = sorted(
@@ -148,6 +149,6 @@ def test_the_programs_of_a_page_run(page: str, tmp_path: Path) -> None:
     program = tmp_path / "program.py"
     environment = {"PYTHONPATH": path}
     result = run_program(
-        program, folder=tmp_path, environment=environment, setup=COARSE_BAKING, is_loaded=True
+        program, folder=tmp_path, environment=environment, setup=COARSE, is_loaded=True
     )
     assert result.returncode == 0, result.stderr[-3000:]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.coarse_organs import COARSE_BAKING
+from tests.support.coarse_organs import COARSE
 from tests.support.programs import run_program
 
 av = pytest.importorskip("av")
@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 def test_the_quick_video_has_all_chapters(tmp_path: Path) -> None:
     script, out = ROOT / "docs" / "images" / "tour.py", tmp_path / "tour.mp4"
     result = run_program(
-        script, "--quick", "--out", str(out), folder=ROOT, setup=COARSE_BAKING, is_loaded=True
+        script, "--quick", "--out", str(out), folder=ROOT, setup=COARSE, is_loaded=True
     )
     assert result.returncode == 0, result.stderr[-3000:]
     assert result.stdout == f"Wrote {out}: 16 frames, 8 s.\n"

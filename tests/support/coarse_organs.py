@@ -1,7 +1,8 @@
 """Coarse organs in the place of the catalog's, for tests of programs that take any organ.
 
 A cache folder contains them under the names of organs of the catalog, so a program that generates
-one only reads it. Textures that a program bakes itself are coarse by `COARSE_BAKING`.
+one only reads it. Textures that a program bakes itself, and images of capsules of the catalog, are
+coarse by `COARSE`.
 """
 
 from __future__ import annotations
@@ -14,13 +15,20 @@ from pathlib import Path
 import pytest
 
 from tests.support.tubes import straight_gut
+from vrcaps.camera.derive import scaled_camera
+from vrcaps.capsule import device_file
 from vrcaps.core.files import cache_in
 from vrcaps.organ.surface import OrganSurface
 
 TEXELS_PER_MM, ATLAS = 1.0, 512
 """Texels of a texture, and width of the atlas in which its charts are packed [texels]."""
-COARSE_BAKING = f"""
-import vrcaps.mucosa.bake, vrcaps.organ.uv
+IMAGE_SCALE = 0.5
+"""Width of images relative to the catalog's."""
+COARSE = f"""
+import vrcaps.capsule.device_file, vrcaps.mucosa.bake, vrcaps.organ.uv
+from tests.support.coarse_organs import read_small_device
+vrcaps.capsule.device_file._parsed = {{}}
+vrcaps.capsule.device_file.read_device_file = read_small_device
 vrcaps.mucosa.bake.DEFAULT_TEXELS_PER_MM = {TEXELS_PER_MM}
 vrcaps.organ.uv._RESOLUTION = {ATLAS}
 """
@@ -36,12 +44,31 @@ _NAMES = {
 
 
 @pytest.fixture(scope="module", autouse=True)
-def coarse_textures() -> Iterator[None]:
-    """Textures are coarse in the modules of a folder whose conftest imports this."""
+def coarse_looks() -> Iterator[None]:
+    """Textures and images are coarse in the modules of a folder whose conftest imports this."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("vrcaps.mucosa.bake.DEFAULT_TEXELS_PER_MM", TEXELS_PER_MM)
         patch.setattr("vrcaps.organ.uv._RESOLUTION", ATLAS)
+        patch_looks(patch)
         yield
+
+
+def patch_looks(patch: pytest.MonkeyPatch) -> None:
+    """Make textures and images of capsules of the catalog coarse."""
+    patch.setattr("vrcaps.mucosa.bake.DEFAULT_TEXELS_PER_MM", TEXELS_PER_MM)
+    patch.setattr(device_file, "_parsed", {})
+    patch.setattr(device_file, "read_device_file", read_small_device)
+
+
+_read_device_file = device_file.read_device_file
+
+
+def read_small_device(path: Path) -> device_file.Device:
+    """Read a device from its TOML file; images of one of the catalog are smaller."""
+    device = _read_device_file(path)
+    if path.parent != device_file._DEVICES.path:
+        return device
+    cameras = tuple(scaled_camera(camera, IMAGE_SCALE) for camera in device.cameras)
+    return replace(device, cameras=cameras)
 
 
 def fill_cache(folder: Path) -> None:

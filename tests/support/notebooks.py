@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.support.coarse_organs import COARSE_BAKING
+from tests.support.coarse_organs import COARSE
 from tests.support.programs import run_program
 from tests.support.waiting import WATCHDOG
 
@@ -23,14 +23,14 @@ SMOKE_PREAMBLE = f"""
 import shlex, sys, warnings
 from tests.support.program_server import Child
 _server = Child()
-{COARSE_BAKING}
+{COARSE}
 warnings.filterwarnings("error", module="vrcaps|__main__")
 def _shell(line):
     program, *arguments = shlex.split(line)
     assert program == "vrcaps", line
     code = "from vrcaps.cli import main; main()"
     sys.stdout.flush()
-    if _server.run(code, *arguments, setup={COARSE_BAKING!r}, timeout={WATCHDOG}):
+    if _server.run(code, *arguments, setup={COARSE!r}, timeout={WATCHDOG}):
         sys.exit(f"Failed: {{line}}")
 """
 """Runs `vrcaps` without the start-up time of an interpreter, with coarse textures."""

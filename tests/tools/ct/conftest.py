@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from tests.support.coarse_organs import coarse_textures
+from tests.support.coarse_organs import coarse_looks
 from tests.support.phantom import Polyp, Scanner, scan_of, with_polyps
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.tools.ct.volume import Volume
 
-__all__ = ["coarse_textures"]
+__all__ = ["coarse_looks"]
 
 RADIUS, LENGTH = 0.017, 0.07
 

@@ -169,7 +169,8 @@ def test_capsule_that_fits_nowhere(model):
 
 
 @pytest.mark.slow
-def test_capsule_too_long_for_a_bend(model):
+def test_capsule_too_long_for_a_bend(model, monkeypatch):
+    monkeypatch.setattr("vrcaps.motion.centerline_follower._MAX_PUSHES", 10)  # of them none helps
     device = replace(model.device, length=0.25, radius=0.06)
     with pytest.raises(InputError, match=r"a camera leaves the lumen 0\.\d+ of the way along"):
         _fly(Model(model.organ, device))
@@ -187,7 +188,8 @@ def _constricted(closed: float) -> Model:
     return Model(organ, device, np.eye(4))
 
 
-def test_a_slack_wall_gives_way_to_cameras_in_the_shell():
+def test_a_slack_wall_gives_way_to_cameras_in_the_shell(monkeypatch):
+    monkeypatch.setattr("vrcaps.motion.centerline_follower._MAX_PUSHES", 10)
     settings = FlyThrough(start=0.4, end=0.6, whole=True, drift=0.0)
     for model, rigid in ((_constricted(0.0), False), (_constricted(2 * MM), True)):
         with pytest.raises(InputError, match="a camera leaves the lumen"):

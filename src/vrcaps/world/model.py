@@ -117,16 +117,25 @@ class Model:
             poses: Poses of the capsule in the world frame.
         """
         axis = self.device.length / 2.0 - self.device.radius
-        points = [np.zeros(3)]
-        points += [np.array(camera.position, float) for camera in self.device.cameras]
-        points += [np.array([0.0, 0.0, axis]), np.array([0.0, 0.0, -axis])]
-        points_world = transform_points(poses, np.array(points)[None])
-        distance = self.wall.signed_distance(points_world.reshape(-1, 3))
-        return np.asarray(distance, float).reshape(points_world.shape[:2])
+        ends = np.array([[0.0, 0.0, axis], [0.0, 0.0, -axis]])
+        return self._distances(poses, np.concatenate([self._vital_points, ends]))
 
     def vital_clearance(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, " n"]:
         """Minimum distance to the wall [m] of origin and cameras, which must be positive."""
-        return self.clearance(poses)[:, : 1 + len(self.device.cameras)].min(axis=1)
+        return self._distances(poses, self._vital_points).min(axis=1)
+
+    @property
+    def _vital_points(self) -> Float[np.ndarray, "p 3"]:
+        """Origin and position of each camera in the capsule frame [m]."""
+        return np.array([np.zeros(3), *(camera.position for camera in self.device.cameras)])
+
+    def _distances(
+        self, poses: Float[np.ndarray, "n 4 4"], points: Float[np.ndarray, "p 3"]
+    ) -> Float[np.ndarray, "n p"]:
+        """Signed distance to the wall [m] of points in the capsule frame, at each pose."""
+        points_world = transform_points(poses, points[None])
+        distance = self.wall.signed_distance(points_world.reshape(-1, 3))
+        return np.asarray(distance, float).reshape(points_world.shape[:2])
 
     def require_inside(self, poses: Float[np.ndarray, "n 4 4"]) -> None:
         """Check that every camera stays inside the lumen at all poses ``Ts_world_capsule``.

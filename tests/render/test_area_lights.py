@@ -230,7 +230,7 @@ def test_direct_light_agrees_with_many_points(rng: np.random.Generator) -> None:
     """
     organ = tube(60, 160, length=0.15, folds=0.35, capped=True, appearance=patterned(rng))
     state = looking((0.004, -0.003, 0.04))
-    camera = make_camera(pinhole(192), leds=_ring(1.5 * MM))
+    camera = make_camera(pinhole(128), leds=_ring(1.5 * MM))
     model = make_model(organ, camera)
     few, many, other = (
         _radiance(
@@ -239,7 +239,7 @@ def test_direct_light_agrees_with_many_points(rng: np.random.Generator) -> None:
         for n, k in ((4, 0), (128, 1), (128, 2))
     )
     ours, hard = (
-        _radiance(model, c, state) for c in (camera, make_camera(pinhole(192), leds=_ring(0.0)))
+        _radiance(model, c, state) for c in (camera, make_camera(pinhole(128), leds=_ring(0.0)))
     )
 
     def rmse(image: np.ndarray) -> float:

@@ -224,9 +224,12 @@ def _fitted(
     Raises:
         InputError: If the capsule does not fit in, or leaves the lumen in between.
     """
-    knots, notes = _stretch(model, settings, follower)
-    poses, need = follower.poses(knots), _least_clearance(model, settings)
-    fitted, clearance = follower, np.full(len(knots), -np.inf)
+    knots, clearance, notes = _stretch(model, settings, follower)
+    need = _least_clearance(model, settings)
+    if (clearance >= need).all() and (clearance > 0.0).all():  # there is nothing to push
+        still = replace(follower, correction=_linear(knots, np.zeros((len(knots), 6))))
+        return still, float(knots[0]), float(knots[-1]), notes
+    poses, fitted = follower.poses(knots), follower
     for blur in _PUSH_BLURS:
         push = push_inside(model, poses, need=need, blur=blur / _KNOT_SPACING)
         fitted = replace(follower, correction=_linear(knots, push))
@@ -270,8 +273,11 @@ def _free_part(
 
 def _stretch(
     model: Model, settings: FlyThrough, follower: CenterlineFollower
-) -> tuple[Float[np.ndarray, " k"], tuple[str, ...]]:
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"], tuple[str, ...]]:
     """Knots of the requested stretch, its ends moved inwards to where the capsule fits.
+
+    Returns:
+        Distances along the centerline [m], clearance at each [m], and notes of what was moved.
 
     Raises:
         InputError: If it does not fit anywhere.
@@ -288,14 +294,15 @@ def _stretch(
             f"{settings.start:g} and end {settings.end:g}: {fit_text(model)} Choose another "
             "stretch, inflate the gut, or take a smaller capsule."
         )
-    knots = knots[inside[0] : inside[-1] + 1]
+    part = slice(inside[0], inside[-1] + 1)
+    knots, clearance = knots[part], clearance[part]
     notes = tuple(
         f"Moved the {end} end of the stretch inwards by {shift / MM:.1f} mm, to where the "
         "capsule fits."
         for end, shift in (("oral", knots[0] - asked[0]), ("anal", asked[1] - knots[-1]))
         if shift > 0.0
     )
-    return knots, notes
+    return knots, clearance, notes
 
 
 def _gives_way(model: Model, settings: FlyThrough) -> bool:

@@ -277,7 +277,7 @@ def _stretch(
     """Knots of the requested stretch, its ends moved inwards to where the capsule fits.
 
     Returns:
-        Distances along the centerline [m], clearance at each [m], and notes of what was moved.
+        Distances along the centerline [m], clearance at each [m], and notes on the ends.
 
     Raises:
         InputError: If it does not fit anywhere.

@@ -19,7 +19,7 @@ from vrcaps.learn.tasks.classification import ClassificationTask  # noqa: E402
 from vrcaps.learn.tasks.depth import DepthTask, depth_loss, depth_of, light_cue  # noqa: E402
 from vrcaps.learn.tasks.segmentation import SegmentationTask, segmentation_loss  # noqa: E402
 from vrcaps.learn.tasks.super_resolution import SuperResolutionTask  # noqa: E402
-from vrcaps.learn.training import BEST, train  # noqa: E402
+from vrcaps.learn.training import BEST, WEIGHTS, train  # noqa: E402
 from vrcaps.training import ComputeSettings  # noqa: E402
 
 DEPTH = DepthTask(backbone=Backbone(32))
@@ -163,6 +163,35 @@ def test_frozen_batch_normalization_keeps_its_statistics_and_learns(tmp_path):
             for one, other in zip(after, first, strict=True)
         ]
         assert is_same == [is_frozen, False]
+
+
+@pytest.mark.slow
+def test_mean_with_the_start_is_exact_and_does_not_change_the_training(tmp_path):
+    _train(DEPTH, tmp_path / "first", steps=1)
+    start, states, losses = str(tmp_path / "first" / BEST), [], []
+    for fraction in (1.0, 0.25):
+        out = tmp_path / str(fraction)
+        settings = {"start": start, "steps": 2, "weight_decay": 0.0}
+        row = _train(DEPTH, out, average_with_start=fraction, **settings).rows[-1]
+        losses.append(row["training_loss"])
+        states.append(read_weights(out / WEIGHTS).network.state_dict())
+    before, (trained, mean) = read_weights(tmp_path / "first" / BEST).network.state_dict(), states
+    assert losses[0] == losses[1]
+    changed = [k for k in before if not torch.equal(before[k], trained[k])]
+    assert any(k.endswith("weight") for k in changed)
+    for name in changed:
+        if before[name].is_floating_point():
+            exact = 0.25 * trained[name].double() + 0.75 * before[name].double()
+            size = max(1e-4, float(torch.maximum(trained[name].abs(), before[name].abs()).max()))
+            assert float((mean[name] - exact).abs().max()) < 1e-3 * size  # 16 bits
+
+
+@pytest.mark.parametrize("start", ["scratch", "imagenet"])
+def test_mean_with_no_checkpoint_is_rejected(tmp_path, start):
+    with pytest.raises(InputError, match=rf"is 0\.5, but training starts from {start}\. Allowed"):
+        _train(DEPTH, tmp_path / "out", start=start, average_with_start=0.5)
+    with pytest.raises(InputError, match="average_with_start"):
+        replace(TrainSettings(DEPTH), average_with_start=0.0)
 
 
 @pytest.mark.slow

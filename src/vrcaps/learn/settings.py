@@ -34,6 +34,10 @@ class TrainSettings:
         freeze_batch_norm: Whether batch normalization keeps its initial statistics. Otherwise the
             brightness of a small batch, and with it absolute depth, is partly normalized away. Use
             it for fine-tuning, not when training from scratch.
+        average_with_start: Fraction f of the trained parameters in the mean that is evaluated and
+            written: f * trained + (1 - f) * start. With 1, it is the trained network. Below 1,
+            `start` must be a checkpoint of the same task; the mean keeps more of its accuracy on
+            other images (Wortsman et al., CVPR 2022, section 3).
         seed: Random seed.
     """
 
@@ -49,6 +53,7 @@ class TrainSettings:
     evaluate_every: Annotated[int, Range(1)] = 500
     evaluation_frames: Annotated[int, Range(1)] = 400
     freeze_batch_norm: bool = False
+    average_with_start: Annotated[float, Range(above=0.0, max=1.0)] = 1.0
     seed: Annotated[int, Range(0)] = 0
 
     def __post_init__(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -23,7 +24,7 @@ from vrcaps.learn.evaluation import evaluate, write_pictures
 from vrcaps.learn.initialize import initialized_network, origin
 from vrcaps.learn.networks import freeze_batch_norm
 from vrcaps.learn.samples import Samples, batch_of
-from vrcaps.learn.settings import TrainSettings, current_training
+from vrcaps.learn.settings import IMAGENET, SCRATCH, TrainSettings, current_training
 from vrcaps.learn.task import Batch, Sample
 from vrcaps.training import (
     PROGRESS,
@@ -80,10 +81,17 @@ def train(
         report: Called after each step.
 
     Raises:
-        InputError: If the folder contains other files, the loss is not finite, or a layer has the
-            same features for all images; the last good checkpoint is kept.
+        InputError: If the folder contains other files, a mean with the start has no checkpoint to
+            start from, the loss is not finite, or a layer has the same features for all images; the
+            last good checkpoint is kept.
         MissingExtraError: If a package is not installed.
     """
+    fraction = settings.average_with_start
+    if fraction < 1.0 and settings.start in (SCRATCH, IMAGENET):
+        raise InputError(
+            f"average_with_start is {fraction:g}, but training starts from {settings.start}. "
+            "Allowed: 1, or --start with a checkpoint of the same task."
+        )
     compute = compute or ComputeSettings()
     device = available_device(compute.device)
     plain = to_plain(settings, TrainSettings)
@@ -117,6 +125,7 @@ class _Run:
             device,
             memory_format=torch.channels_last,  # pyright: ignore[reportCallIssue]
         )
+        self._start = copy.deepcopy(self.network.state_dict())
         self._origin = origin(settings.start)
         discriminator = self.task.discriminator()
         self.discriminator = None if discriminator is None else discriminator.to(device)
@@ -168,7 +177,8 @@ class _Run:
 
     def _evaluate(self) -> None:
         """Evaluate, keep the best weights, and write the checkpoint."""
-        trained = TrainedNetwork(self.task, self.network.eval(), {}, self.device, threads=None)
+        network = self._averaged().eval()
+        trained = TrainedNetwork(self.task, network, {}, self.device, threads=None)
         result = evaluate(trained, self.validation, self.settings.evaluation_frames)
         require_alive(trained, _spread(result.samples), self.progress.step)
         progress = self.progress
@@ -184,9 +194,9 @@ class _Run:
         about |= {"data": list(self.settings.data), "origin": self._origin}
         if best is None or self.task.metric.is_better(value, best):
             best = value
-            write_weights(self.out / BEST, self.task, self.network, about)
+            write_weights(self.out / BEST, self.task, network, about)
         if progress.step == progress.total:
-            write_weights(self.out / WEIGHTS, self.task, self.network, about)
+            write_weights(self.out / WEIGHTS, self.task, network, about)
         picture = self.out / "pictures" / f"step-{progress.step:07d}.png"
         pixels = write_pictures(picture, self.task, result)
         self.progress = replace(progress, rows=(*progress.rows, row), best=best)
@@ -197,6 +207,23 @@ class _Run:
                 self._writer.add_scalar(f"evaluation/{name}", number, progress.step)
             self._writer.add_image("pictures", pixels, progress.step, dataformats="HWC")
             self._writer.flush()
+
+    def _averaged(self) -> nn.Module:
+        """Network of the mean of the trained parameters and those at the start."""
+        fraction = self.settings.average_with_start
+        if fraction == 1.0:
+            return self.network
+        averaged = copy.deepcopy(self.network)
+        state = averaged.state_dict()
+        averaged.load_state_dict(
+            {
+                name: fraction * value + (1.0 - fraction) * self._start[name]
+                if value.is_floating_point()
+                else value
+                for name, value in state.items()
+            }
+        )
+        return averaged
 
     def _samples_of(self, index: int) -> list[Sample]:
         """Augmented samples of a batch; the same for the same index."""

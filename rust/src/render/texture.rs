@@ -67,6 +67,9 @@ pub struct Texels {
 }
 
 const SLOPE_STEPS: f32 = 2047.0;
+/// Ratio of stretch along u and v above which a wall shows a coarser level. Tissue that is gathered
+/// around the gut and pulled along it folds below the mesh's size, so its detail is not a streak.
+const STREAK: f32 = 1.7;
 const ALBEDO_STEPS: Vec3 = [2047.0, 2047.0, 1023.0];
 
 impl Sample {
@@ -267,7 +270,10 @@ impl Texture {
         let last = self.levels.len() as u32 - 1;
         let mut numbers = [0u32; LANES];
         for i in 0..LANES {
-            let texels = max(max(footprint[0][i] * width, footprint[1][i] * height), 1.0);
+            let (along_u, along_v) = (footprint[0][i] * width, footprint[1][i] * height);
+            let (long, short) = (max(along_u, along_v), min(along_u, along_v));
+            let streak = max(long / (STREAK * max(short, 1e-6)), 1.0);
+            let texels = max(long, 1.0) * streak;
             // The exponent of √2·x is log₂ x rounded to the nearest integer.
             let nearest = ((texels * std::f32::consts::SQRT_2).to_bits() >> 23) - 127;
             numbers[i] = if nearest < last { nearest } else { last };

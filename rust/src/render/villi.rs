@@ -26,6 +26,9 @@ const INWARD: f32 = 1.5;
 const SEEDS: [u32; 3] = [0x7669_6c6c, 0x7669_6c68, 0x7669_6c67];
 /// Pixels between villi below which gaps are invisible, and from which they are drawn fully.
 const RESOLVED: [f32; 2] = [2.0, 3.5];
+/// Ratio of the sides of a pixel on the wall at rest up to which gaps are invisible, and from which
+/// they are drawn fully: where a wall is gathered or pulled, gaps would be streaks.
+const ROUND: [f32; 2] = [0.25, 0.5];
 /// Distance over which gaps vary [villi], and the relative standard deviation.
 const PATCH: f32 = 8.0;
 const UNEVEN: f32 = 0.5 / DEVIATION;
@@ -33,10 +36,10 @@ const UNEVEN: f32 = 0.5 / DEVIATION;
 const GAP_COLOR: [f32; 3] = [0.7, 1.0, 1.1];
 /// Relative length in the gaps between villi, and difference of the distances to the nearest two
 /// centers at which a villus has its full length [cells].
-const GROUND: f32 = 0.25;
+const GROUND: f32 = 0.55;
 const SHOULDER: f32 = 0.55;
 /// Relative standard deviation of the lengths.
-const SPREAD: f32 = 0.3 / DEVIATION;
+const SPREAD: f32 = 0.25 / DEVIATION;
 /// Maximum length relative to the mean.
 const TALLEST: f32 = 1.5;
 
@@ -227,13 +230,18 @@ impl<'a> Seen<'a> {
 
     /// Weight of the gaps at a pixel: 1 if pixels resolve them, 0 if they do not.
     fn resolved(&self, places: &[Vec3], pixel: usize, spacing: f32) -> f32 {
-        let apart = |next: usize| {
-            let step = places.get(next).map_or([f32::NAN; 3], |&next| sub(next, places[pixel]));
-            dot(step, step).sqrt()
+        let step = |next: usize| {
+            places.get(next).map_or([f32::NAN; 3], |&next| sub(next, places[pixel]))
         };
-        let (right, down) = (apart(pixel + 1), apart(pixel + self.size.1));
-        let pixels = spacing / max(right, down);
-        if (right + down).is_nan() { 0.0 } else { smoothstep(RESOLVED[0], RESOLVED[1], pixels) }
+        let (right, down) = (step(pixel + 1), step(pixel + self.size.1));
+        let (across, along) = (dot(right, right), dot(down, down));
+        let (widest, product) = (max(across, along), dot(right, down));
+        let area = max(across * along - product * product, 0.0).sqrt();
+        if !(across + along > 0.0) {
+            return 0.0;
+        }
+        let pixels = spacing / widest.sqrt();
+        smoothstep(RESOLVED[0], RESOLVED[1], pixels) * smoothstep(ROUND[0], ROUND[1], area / widest)
     }
 
     /// Villi of the pixels of outlines.
@@ -278,7 +286,7 @@ impl<'a> Seen<'a> {
             // Tips let light through.
             let along = min(apart / length, 1.0);
             let (opacity, tone) =
-                (covered * (1.0 - 0.25 * along), (0.55 + 0.3 * middle) * (1.0 - 0.2 * along));
+                (covered * (1.0 - 0.35 * along), (0.7 + 0.2 * middle) * (1.0 - 0.2 * along));
             let villus = color(self.inside(base, pixel, apart), planes).map(|x| x * tone);
             let behind = color(pixel, planes);
             drawn.push((pixel, [0, 1, 2].map(|k| behind[k] + opacity * (villus[k] - behind[k]))));

@@ -99,7 +99,7 @@ class ImageChain:
     bloom_fraction: Annotated[float, Range(min=0.0, below=1.0)] = 0.12
     bloom_angle: Annotated[float, Range(above=0.0, below=1.0, unit="rad")] = 0.1
     full_well: Annotated[float, Range(min=1.0, max=1e6, unit="electrons")] = 5000.0
-    read_noise: Annotated[float, Range(min=0.0, below=1e5, unit="electrons")] = 8.0
+    read_noise: Annotated[float, Range(min=0.0, below=1e5, unit="electrons")] = 5.0
     prnu: Annotated[float, Range(min=0.0, below=1.0)] = 0.01
     dsnu: Annotated[float, Range(min=0.0, below=1e5, unit="electrons")] = 3.0
     bayer_pattern: str = "rggb"
@@ -108,7 +108,7 @@ class ImageChain:
     color_matrix: tuple[Triple, Triple, Triple] = _IDENTITY
     contrast: Annotated[float, Range(min=0.25, max=4.0)] = 1.3
     luma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 0.7
-    chroma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 1.8
+    chroma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 1.3
     sharpening: Annotated[float, Range(min=0.0, max=10.0)] = 2.0
     sharpening_radius_px: Annotated[float, Range(min=0.3, max=10.0, unit="px")] = 2.0
     jpeg_quality: Annotated[int, Range(min=0, max=100)] = 75

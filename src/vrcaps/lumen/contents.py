@@ -72,12 +72,12 @@ class Bubbles:
     landing_rate: _NotNegative = 2.0
     release_rate: _NotNegative = 0.05
     ior: Annotated[float, Range(above=1.0, below=3.0)] = 1.333
-    border: Annotated[float, Range(above=0.0, below=1.0)] = 0.25
+    border: Annotated[float, Range(above=0.0, below=1.0)] = 0.14
     gleam: _Fraction = 0.95
     stain: tuple[_NotNegative, _NotNegative, _NotNegative] = (0.0, 0.03, 0.1)
     meniscus: Annotated[float, Range(above=0.0, unit="m")] = 0.15 * MM
-    shade: _Fraction = 0.75
-    ripple: Annotated[float, Range(0.0, 0.5)] = 0.1
+    shade: _Fraction = 0.9
+    ripple: Annotated[float, Range(0.0, 0.5)] = 0.22
     roughness: Annotated[float, Range(above=0.0, max=1.0)] = 0.005
     color: tuple[_Fraction, _Fraction, _Fraction] = (0.5, 0.34, 0.2)
 

@@ -323,10 +323,10 @@ struct Shell {
 const LEAST: f32 = 0.12;
 
 /// Weight of a wall that faces the LEDs in the radiance of reflections.
-const OWN_PART: f32 = 0.3;
+const OWN_PART: f32 = 0.55;
 
 /// Weight of the bubble's color in the hue of its reflections.
-const OWN_HUE: f32 = 0.08;
+const OWN_HUE: f32 = 0.2;
 
 /// Maximum distance from a bubble to the wall that it mirrors [m]: that of a bubble on the lens.
 const MOST_ROOM: f32 = 0.01;

@@ -410,7 +410,7 @@ def test_lenses_and_leds_are_inside_the_body(name):
     straight = 0.5 * device.length - device.radius
     for camera in device.cameras:
         assert len(camera.leds) >= 4
-        assert {led.emitter_radius for led in camera.leds} == {0.6e-3}
+        assert {led.emitter_radius for led in camera.leds} == {0.4e-3}
         leds = np.array([led.position_camera for led in camera.leds])
         inside = np.vstack([leds, np.zeros(3)])
         x, y, z = transform_points(camera.T_capsule_camera, inside).T

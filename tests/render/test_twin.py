@@ -96,3 +96,21 @@ def test_fine_textures_are_averaged_over_a_pixel(rng: np.random.Generator) -> No
     # A level that is taken one step off at its limit is rare and still alike.
     _close(albedo, expected, 2e-3, 0.97)
     assert np.nanmean(np.abs(albedo - expected)) < 1e-3
+
+
+def test_pulled_walls_show_a_coarser_texture_instead_of_streaks(rng: np.random.Generator) -> None:
+    """Contrast across a wall falls where it is pulled along, and stays where it grows alike."""
+    length = 2.0 * np.pi * 0.02
+    organ = tube(40, 41, length=length, appearance=patterned(rng, size=(81, 256)))
+    camera = make_camera("pinhole", leds=LEDS)
+    renderer = Renderer(make_model(organ, camera), DIRECT)
+
+    def contrast(growth: tuple[float, float, float]) -> float:
+        moved = organ.vertices * growth
+        state = looking((0.0, 0.0, 0.5 * growth[2] * length), (1.0, 0.0, 0.0), vertices_world=moved)
+        albedo = renderer.render(state, camera, channels=("albedo",)).albedo
+        return float(albedo.std())
+
+    whole = contrast((1.0, 1.0, 1.0))
+    assert contrast((1.0, 1.0, 1.5)) > 0.8 * whole
+    assert contrast((1.0, 1.0, 8.0)) < 0.4 * whole

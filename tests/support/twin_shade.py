@@ -147,7 +147,10 @@ def _shade(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Base color and radiance of the points."""
     assert look is not None
-    level = np.log2(np.maximum((points.footprint * look.roughness.shape[::-1]).max(1), 1.0))
+    texels = points.footprint * look.roughness.shape[::-1]
+    # A wall that is gathered or pulled along one direction shows a coarser level.
+    streak = np.maximum(texels.max(1) / (1.7 * np.maximum(texels.min(1), 1e-6)), 1.0)
+    level = np.log2(np.maximum(texels.max(1), 1.0) * streak)
     texels = _textures(look)
     albedo, roughness, slope = (_fetch(texels, points.uv, np.rint(level), k) for k in range(3))
     normal = unit(points.normal - np.einsum("nk,nkx->nx", slope, points.gradients))

@@ -44,8 +44,9 @@ class Bubbles:
         landing_rate: Rate at which bubbles settle on a round end that they touch [1/s].
         release_rate: Rate at which bubbles there detach in liquid [1/s].
         ior: Refractive index of the film (water: 1.333).
-        border: Width of the bright rim of a bubble in liquid, as a fraction of the radius: beyond
-            1/n of the radius, light from liquid is totally reflected.
+        border: Width of the bright rim of a bubble in liquid, as a fraction of the radius. Light
+            from liquid is totally reflected beyond 1/n of the radius, so that a bubble deep in
+            liquid has 0.25; the default is that of bubbles on a wall in capsule images.
         gleam: Fraction of light from the surroundings that the rim reflects.
         stain: Density of absorption in the rim for red, green and blue; bile absorbs blue.
         meniscus: Radius up to which bubbles lie wholly in liquid [m]. Larger ones, of radius R,

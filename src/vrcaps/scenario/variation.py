@@ -66,7 +66,12 @@ _TURBIDITY = 0.8
 PREVALENCES: Mapping[str, Prevalence] = MappingProxyType(
     {
         "small-bowel": Prevalence(
-            {None: 0.92, "normal": 0.08}, (0.5, 0.78), bubbles=0.18, medium=0.35, stain=1.0, film=0.4
+            {None: 0.92, "normal": 0.08},
+            (0.5, 0.78),
+            bubbles=0.18,
+            medium=0.35,
+            stain=1.0,
+            film=0.4,
         ),
         "colon": Prevalence({None: 1.0}, (0.1, 0.35), bubbles=0.25, medium=0.15, film=0.3),
         "stomach": Prevalence({None: 1.0}, (0.1, 0.35), bubbles=0.3, medium=0.15, film=0.3),

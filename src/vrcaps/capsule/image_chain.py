@@ -36,7 +36,7 @@ class UnitVariation:
             to the `exposure_tolerance` of each frame.
     """
 
-    white_balance: _Spread = 0.12
+    white_balance: _Spread = 0.15
     color_matrix: _Spread = 0.03
     lens_shading: _Spread = 0.25
     focus: _Spread = 0.12

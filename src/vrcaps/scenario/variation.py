@@ -68,7 +68,7 @@ PREVALENCES: Mapping[str, Prevalence] = MappingProxyType(
         "small-bowel": Prevalence(
             {None: 0.92, "normal": 0.08},
             (0.5, 0.78),
-            bubbles=0.18,
+            bubbles=0.25,
             medium=0.35,
             stain=1.0,
             film=0.4,

@@ -87,6 +87,7 @@ def _instances() -> dict[str, object]:
     count, corners = len(wall.vertex_normals()), 2 * 10 * 10
     scene = _core.Scene(
         np.zeros((corners, 3, 2), np.float32),
+        np.ones(corners, np.float32),
         np.zeros(corners, np.uint8),
         np.zeros(corners, np.uint16),
         np.zeros(count, np.float32),

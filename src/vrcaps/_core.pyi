@@ -310,6 +310,7 @@ class Scene:
     def __init__(
         self,
         uv: NDArray[np.float32],
+        aspect: NDArray[np.float32],
         label: NDArray[np.uint8],
         instance: NDArray[np.uint16],
         arc_length: NDArray[np.float32],

@@ -26,6 +26,7 @@ class _Points:
     least_facing: np.ndarray
     uv: np.ndarray
     gradients: np.ndarray
+    pull: np.ndarray
     footprint: np.ndarray
 
 
@@ -51,6 +52,8 @@ def render(
     position = origin + distance[:, None] * rays[hit]
     pixel_angle = _pixel_angles(rays_camera).reshape(-1)[hit]
     gradients = _uv_gradients(vertices[faces[face]], organ.uv[face])
+    rest = _uv_gradients(model.vertices_world[faces[face]], organ.uv[face])
+    along, across = (np.linalg.norm(gradients, axis=2) / np.linalg.norm(rest, axis=2)).T
     size = distance * pixel_angle / np.sqrt(np.maximum(dot(smooth, view), 0.05))
     turn = np.einsum("ncx,nx->n", normals, geometric) / 3.0
     points = _Points(
@@ -60,6 +63,7 @@ def render(
         0.25 * np.sqrt(np.maximum(1.0 - turn**2, 0.0)),
         np.einsum("nc,nck->nk", weights, organ.uv[face]),
         gradients,
+        np.maximum(along / across, across / along),
         size[:, None] * np.linalg.norm(gradients, axis=2),
     )
     lit = [
@@ -147,10 +151,9 @@ def _shade(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Base color and radiance of the points."""
     assert look is not None
-    texels = points.footprint * look.roughness.shape[::-1]
+    widths = points.footprint * look.roughness.shape[::-1]
     # A wall that is gathered or pulled along one direction shows a coarser level.
-    streak = np.maximum(texels.max(1) / (1.7 * np.maximum(texels.min(1), 1e-6)), 1.0)
-    level = np.log2(np.maximum(texels.max(1), 1.0) * streak)
+    level = np.log2(np.maximum(widths.max(1), 1.0) * np.maximum(points.pull / 1.7, 1.0))
     texels = _textures(look)
     albedo, roughness, slope = (_fetch(texels, points.uv, np.rint(level), k) for k in range(3))
     normal = unit(points.normal - np.einsum("nk,nkx->nx", slope, points.gradients))

@@ -14,6 +14,8 @@ use std::ops::Deref;
 pub struct FaceData {
     /// Texture coordinates of each corner.
     pub uv: [[f32; 2]; 3],
+    /// Ratio of the gradients of u and v over the face of the wall at rest; 0 if it has none.
+    pub aspect: f32,
     /// Class.
     pub label: u8,
     /// Lesion ID.
@@ -72,17 +74,19 @@ pub struct Scene {
 
 #[pymethods]
 impl Scene {
-    /// Takes uv [m 3 2], label [m] and instance [m] of faces, arc length [n] of vertices in meters,
+    /// Takes uv [m 3 2], `aspect` [m] of `FaceData`, label [m] and instance [m] of faces, arc length
+    /// [n] of vertices in meters,
     /// `texture` or a uniform linear `albedo` and `roughness`, and `reflectance` (refractive index,
     /// clearcoat strength, clearcoat roughness α). `tissue` lets light pass through the wall:
     /// reduced scattering of red, green and blue [1/m], refractive index, fraction of diffuse light
     /// that enters, √(1 − single-scattering albedo) of base colors 0 to 1 in uniform steps, and
     /// `mean_cosine` and `angular_slopes` of `Tissue`.
     #[new]
-    #[pyo3(signature = (uv, label, instance, arc_length, *, texture, albedo, roughness, reflectance, tissue=None))]
+    #[pyo3(signature = (uv, aspect, label, instance, arc_length, *, texture, albedo, roughness, reflectance, tissue=None))]
     #[allow(clippy::too_many_arguments)] // one keyword each
     fn new(
         uv: PyReadonlyArray3<'_, f32>,
+        aspect: PyReadonlyArray1<'_, f32>,
         label: PyReadonlyArray1<'_, u8>,
         instance: PyReadonlyArray1<'_, u16>,
         arc_length: PyReadonlyArray1<'_, f32>,
@@ -93,16 +97,18 @@ impl Scene {
         tissue: Option<OpticalProperties>,
     ) -> PyResult<Self> {
         let (uv, label, instance) = (uv.as_array(), label.as_array(), instance.as_array());
+        let aspect = aspect.as_array();
         let (faces, corners, components) = uv.dim();
-        let same = label.len() == faces && instance.len() == faces;
+        let same = [label.len(), instance.len(), aspect.len()] == [faces; 3];
         if (corners, components) != (3, 2) || !same {
             return Err(PyValueError::new_err(
-                "Texture coordinates must be of shape (m, 3, 2), labels and instances of shape (m,).",
+                "Texture coordinates must be of shape (m, 3, 2), other data of faces of shape (m,).",
             ));
         }
         let (ior, clearcoat, clearcoat_alpha) = reflectance;
         let face = |f: usize| FaceData {
             uv: [0, 1, 2].map(|corner| [uv[[f, corner, 0]], uv[[f, corner, 1]]]),
+            aspect: aspect[f],
             label: label[f],
             instance: instance[f],
         };

@@ -29,6 +29,8 @@ pub struct Attributes {
     pub least_facing: Lane,
     /// Texture coordinates.
     pub uv: [Lane; 2],
+    /// Factor on the width of the texels, see `Face::streak`.
+    pub streak: Lane,
     /// Surface gradients of the texture coordinates [1/m].
     pub gradients: [Lane3; 2],
     /// Distance along the centerline [m].
@@ -45,6 +47,8 @@ struct Face {
     corners: [usize; 3],
     data: FaceData,
     gradients: [Vec3; 2],
+    /// Factor on the width of its texels that removes streaks.
+    streak: f32,
     /// A quarter of the sine of the angle by which the normal turns from the face's center to its
     /// corners.
     ///
@@ -69,6 +73,7 @@ impl Face {
         let [uv_a, uv_b, uv_c] = data.uv;
         let gradient =
             |k: usize| add(scale(of_b, uv_b[k] - uv_a[k]), scale(of_c, uv_c[k] - uv_a[k]));
+        let gradients = [gradient(0), gradient(1)];
         let corners = wall.bvh.corners[triangle].map(|v| v as usize);
         let [na, nb, nc] = corners.map(|v| wall.normals[v]);
         let turn = dot(add(add(na, nb), nc), normal) * inverse.sqrt() * (1.0 / 3.0);
@@ -76,10 +81,25 @@ impl Face {
             number: face as usize,
             corners,
             data,
-            gradients: [gradient(0), gradient(1)],
+            gradients,
+            streak: streak(gradients, data.aspect),
             least_facing: 0.25 * max(1.0 - turn * turn, 0.0).sqrt(),
         }
     }
+}
+
+/// Ratio of the stretch of a wall along u and v, relative to that at rest, above which its texture is
+/// drawn coarser. Tissue that is gathered around the gut and pulled along it folds below the mesh's
+/// size, so its detail is not a streak.
+const STREAK: f32 = 1.7;
+
+/// Factor on the width of a face's texels that removes streaks, from the gradients of u and v and
+/// their ratio at rest.
+#[inline(always)]
+fn streak([along_u, along_v]: [Vec3; 2], aspect: f32) -> f32 {
+    let square = dot(along_u, along_u) / max(dot(along_v, along_v) * aspect * aspect, 1e-30);
+    let most = max(square, 1.0 / max(square, 1e-30)).sqrt();
+    if aspect > 0.0 { clamp(most / STREAK, 1.0, 64.0) } else { 1.0 }
 }
 
 /// Looks up the wall's attributes at every hit.
@@ -119,6 +139,7 @@ pub fn attributes_at(
         normal: [[0.0; LANES]; 3],
         least_facing: [0.0; LANES],
         uv: [[0.0; LANES]; 2],
+        streak: [1.0; LANES],
         gradients: [[[0.0; LANES]; 3]; 2],
         arc_length: [0.0; LANES],
         label: [0; LANES],
@@ -159,6 +180,7 @@ fn fill_lane(out: &mut Attributes, wall: &Wall, scene: &SceneData, face: &Face, 
         out.gradients[1][k][i] = face.gradients[1][k];
     }
     out.least_facing[i] = face.least_facing;
+    out.streak[i] = face.streak;
     let [uv_a, uv_b, uv_c] = face.data.uv;
     for k in 0..2 {
         out.uv[k][i] = uv_a[k] * wa + uv_b[k] * wb + uv_c[k] * wc;
@@ -226,7 +248,7 @@ pub fn surface(
         return surface;
     };
     let footprint = footprint(attributes, distance, pixel_angle);
-    let texels = texture.fetch(&attributes.uv, &footprint);
+    let texels = texture.fetch(&attributes.uv, &footprint, &attributes.streak);
     let [along_u, along_v] = &attributes.gradients;
     for i in 0..LANES {
         let rise = add(

@@ -67,9 +67,6 @@ pub struct Texels {
 }
 
 const SLOPE_STEPS: f32 = 2047.0;
-/// Ratio of stretch along u and v above which a wall shows a coarser level. Tissue that is gathered
-/// around the gut and pulled along it folds below the mesh's size, so its detail is not a streak.
-const STREAK: f32 = 1.7;
 const ALBEDO_STEPS: Vec3 = [2047.0, 2047.0, 1023.0];
 
 impl Sample {
@@ -242,10 +239,11 @@ impl Texture {
 
     /// Texels of every lane: bilinear in the level whose texels match the pixel's footprint best.
     ///
-    /// `footprint` is the fraction of the texture's width and height that a pixel covers.
+    /// `footprint` is the fraction of the texture's width and height that a pixel covers; `streak` is
+    /// a factor on the width of the texels, at least 1.
     #[inline(always)]
-    pub fn fetch(&self, uv: &[Lane; 2], footprint: &[Lane; 2]) -> Texels {
-        let numbers = self.level_numbers(footprint);
+    pub fn fetch(&self, uv: &[Lane; 2], footprint: &[Lane; 2], streak: &Lane) -> Texels {
+        let numbers = self.level_numbers(footprint, streak);
         let (mut colors, mut rests) = ([[0u32; LANES]; 4], [[0u32; LANES]; 4]);
         let mut weights = [[0.0; LANES]; 2];
         for i in 0..LANES {
@@ -265,15 +263,13 @@ impl Texture {
     }
 
     #[inline(always)]
-    fn level_numbers(&self, footprint: &[Lane; 2]) -> [u32; LANES] {
+    fn level_numbers(&self, footprint: &[Lane; 2], streak: &Lane) -> [u32; LANES] {
         let (width, height) = (self.levels[0].width as f32, self.levels[0].height as f32);
         let last = self.levels.len() as u32 - 1;
         let mut numbers = [0u32; LANES];
         for i in 0..LANES {
-            let (along_u, along_v) = (footprint[0][i] * width, footprint[1][i] * height);
-            let (long, short) = (max(along_u, along_v), min(along_u, along_v));
-            let streak = max(long / (STREAK * max(short, 1e-6)), 1.0);
-            let texels = max(long, 1.0) * streak;
+            let texels = max(max(footprint[0][i] * width, footprint[1][i] * height), 1.0);
+            let texels = texels * streak[i];
             // The exponent of √2·x is log₂ x rounded to the nearest integer.
             let nearest = ((texels * std::f32::consts::SQRT_2).to_bits() >> 23) - 127;
             numbers[i] = if nearest < last { nearest } else { last };

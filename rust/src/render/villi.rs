@@ -230,9 +230,8 @@ impl<'a> Seen<'a> {
 
     /// Weight of the gaps at a pixel: 1 if pixels resolve them, 0 if they do not.
     fn resolved(&self, places: &[Vec3], pixel: usize, spacing: f32) -> f32 {
-        let step = |next: usize| {
-            places.get(next).map_or([f32::NAN; 3], |&next| sub(next, places[pixel]))
-        };
+        let step =
+            |next: usize| places.get(next).map_or([f32::NAN; 3], |&next| sub(next, places[pixel]));
         let (right, down) = (step(pixel + 1), step(pixel + self.size.1));
         let (across, along) = (dot(right, right), dot(down, down));
         let (widest, product) = (max(across, along), dot(right, down));

@@ -57,6 +57,7 @@ def make_scene(organ: OrganSurface, settings: RenderSettings, imaging: Imaging) 
         texture = _core.Texture(look.albedo, look.roughness, height)
     return _core.Scene(
         np.ascontiguousarray(organ.uv, np.float32),
+        _aspect(organ),
         face_label(organ.label, organ.faces),
         face_label(organ.instance, organ.faces),
         organ.arc_length.astype(np.float32),
@@ -66,6 +67,17 @@ def make_scene(organ: OrganSurface, settings: RenderSettings, imaging: Imaging) 
         reflectance=(look.ior, look.clearcoat, clearcoat_alpha(look.clearcoat_gloss)),
         tissue=optical_properties(imaging.bands_nm) if settings.scattering else None,
     )
+
+
+def _aspect(organ: OrganSurface) -> Float[np.ndarray, " m"]:
+    """Ratio of the gradients of u and v over each face; 0 where v does not vary."""
+    corners = organ.vertices[organ.faces]
+    edges = corners[:, 1:] - corners[:, :1]
+    a, b = (organ.uv[:, 1:] - organ.uv[:, :1]).swapaxes(0, 1)
+    # Squared gradients by the first fundamental form, times its determinant.
+    form = (edges @ edges.swapaxes(1, 2))[..., None]
+    u, v = (form[:, 1, 1] * a * a - 2.0 * form[:, 0, 1] * a * b + form[:, 0, 0] * b * b).T
+    return np.sqrt(np.divide(u, v, out=np.zeros_like(u), where=v > 0.0)).astype(np.float32)
 
 
 VILLUS_SPACING = 0.22 * MM

@@ -70,7 +70,7 @@ impl Faces {
             }
         }
         if let Some(texture) = &scene.texture {
-            let texels = texture.fetch(&uv, &footprint);
+            let texels = texture.fetch(&uv, &footprint, &[1.0; LANES]);
             faces.albedo = texels.albedo;
             faces.roughness = texels.roughness;
         }

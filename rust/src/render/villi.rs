@@ -236,7 +236,7 @@ impl<'a> Seen<'a> {
         let (across, along) = (dot(right, right), dot(down, down));
         let (widest, product) = (max(across, along), dot(right, down));
         let area = max(across * along - product * product, 0.0).sqrt();
-        if !(across + along > 0.0) {
+        if (across + along).is_nan() || widest == 0.0 {
             return 0.0;
         }
         let pixels = spacing / widest.sqrt();

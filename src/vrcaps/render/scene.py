@@ -77,7 +77,8 @@ def _aspect(organ: OrganSurface) -> Float[np.ndarray, " m"]:
     # Squared gradients by the first fundamental form, times its determinant.
     form = (edges @ edges.swapaxes(1, 2))[..., None]
     u, v = (form[:, 1, 1] * a * a - 2.0 * form[:, 0, 1] * a * b + form[:, 0, 0] * b * b).T
-    return np.sqrt(np.divide(u.clip(0.0), v, out=np.zeros_like(u), where=v > 0.0)).astype(np.float32)
+    square = np.divide(u.clip(0.0), v, out=np.zeros_like(u), where=v > 0.0)
+    return np.sqrt(square).astype(np.float32)
 
 
 VILLUS_SPACING = 0.22 * MM

@@ -150,7 +150,7 @@ def rays_end(rays: np.ndarray, center: np.ndarray, radius: float, far: int) -> n
 def test_a_bubble_in_liquid_has_a_rim_and_shade() -> None:
     """Total reflection from 1/n of the radius outwards; less light below a diverging lens."""
     deep = replace(Bubbles(), ripple=0.0, stain=(0.0, 0.0, 0.0), meniscus=2.0 * MM)
-    bubbles = replace(deep, border=1.0 - 1.0 / deep.ior, shade=0.75)
+    bubbles = replace(deep, border=1.0 - 1.0 / deep.ior)
     scene, radius = Scene(led=(0.0, -4.0 * MM, 0.0)), 1.5 * MM
     center = np.array([0.0, 0.0, 6.0 * MM])
     ratio = (scene.radiance(bubbles, center, radius, 0.5) / scene.empty())[..., 0]

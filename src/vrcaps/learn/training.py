@@ -125,7 +125,8 @@ class _Run:
             device,
             memory_format=torch.channels_last,  # pyright: ignore[reportCallIssue]
         )
-        self._start = copy.deepcopy(self.network.state_dict())
+        is_mean = settings.average_with_start < 1.0
+        self._start = copy.deepcopy(self.network.state_dict()) if is_mean else {}
         self._origin = origin(settings.start)
         discriminator = self.task.discriminator()
         self.discriminator = None if discriminator is None else discriminator.to(device)
@@ -210,10 +211,9 @@ class _Run:
 
     def _averaged(self) -> nn.Module:
         """Network of the mean of the trained parameters and those at the start."""
-        fraction = self.settings.average_with_start
-        if fraction == 1.0:
+        if not self._start:
             return self.network
-        averaged = copy.deepcopy(self.network)
+        averaged, fraction = copy.deepcopy(self.network), self.settings.average_with_start
         state = averaged.state_dict()
         averaged.load_state_dict(
             {

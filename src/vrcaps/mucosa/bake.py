@@ -21,7 +21,7 @@ from vrcaps.mesh.noise import fbm
 from vrcaps.mucosa.mucosa import ABSORPTION, MUCOSAE, Mucosa, is_texture_path
 from vrcaps.organ.segments import find_segment
 from vrcaps.organ.surface import Appearance, OrganSurface, round_height
-from vrcaps.organ.uv import texture_stretch
+from vrcaps.organ.uv import tangent_lengths, texture_stretch
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -122,7 +122,6 @@ def _meters_per_uv(organ: OrganSurface) -> tuple[float, float]:
             f"({len(organ.faces)}, 3, 2), one pair for each corner of each face."
         )
     corners = organ.vertices[organ.faces]
-    edges = corners[:, 1:] - corners[:, :1]
     area = 2.0 * triangle_areas(corners)
     (du1, dv1), (du2, dv2) = np.moveaxis(organ.uv[:, 1:] - organ.uv[:, :1], 0, -1)
     determinant = du1 * dv2 - du2 * dv1
@@ -138,8 +137,7 @@ def _meters_per_uv(organ: OrganSurface) -> tuple[float, float]:
             "Give coordinates without overlap."
         )
     weight = area * is_charted / np.where(is_charted, determinant, 1.0)
-    along_u = np.linalg.norm(edges[:, 0] * dv2[:, None] - edges[:, 1] * dv1[:, None], axis=1)
-    along_v = np.linalg.norm(edges[:, 1] * du1[:, None] - edges[:, 0] * du2[:, None], axis=1)
+    along_u, along_v = tangent_lengths(corners, organ.uv)
     total = area[is_charted].sum()
     return float(np.abs(weight) @ along_u / total), float(np.abs(weight) @ along_v / total)
 

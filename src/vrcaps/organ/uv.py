@@ -97,6 +97,25 @@ def texture_stretch(
     return 0.5 * np.stack([turn - mirror, turn + mirror], axis=1)
 
 
+def tangent_lengths(
+    corners: Float[np.ndarray, "m 3 3"], uv: Float[np.ndarray, "m 3 2"]
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """Lengths of the derivatives of position by u and by v on each face, times its determinant [m].
+
+    The determinant is that of the edges in texture space. The gradients of u and v have the lengths
+    of the other derivative times the determinant, over twice the face's area.
+
+    Args:
+        corners: Corners of each face [m].
+        uv: Texture coordinates of each corner of each face.
+    """
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    (du1, dv1), (du2, dv2) = np.moveaxis(uv[:, 1:] - uv[:, :1], 0, -1)
+    along_u = np.linalg.norm(first * dv2[:, None] - second * dv1[:, None], axis=1)
+    along_v = np.linalg.norm(second * du1[:, None] - first * du2[:, None], axis=1)
+    return along_u, along_v
+
+
 def atlas_coordinates(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
 ) -> Float[np.ndarray, "m 3 2"]:

@@ -25,6 +25,7 @@ from vrcaps.core.geometry import triangle_areas
 from vrcaps.core.units import MM
 from vrcaps.organ.segments import find_segment
 from vrcaps.organ.surface import Appearance, OrganSurface, clearcoat_alpha, face_label, round_height
+from vrcaps.organ.uv import tangent_lengths
 from vrcaps.render.imaging import Imaging
 from vrcaps.render.scattering import TISSUE_IOR, internal_reflectance, optical_properties
 from vrcaps.render.settings import RenderSettings
@@ -71,14 +72,9 @@ def make_scene(organ: OrganSurface, settings: RenderSettings, imaging: Imaging) 
 
 def _aspect(organ: OrganSurface) -> Float[np.ndarray, " m"]:
     """Ratio of the gradients of u and v over each face; 0 where v does not vary."""
-    corners = organ.vertices[organ.faces]
-    edges = corners[:, 1:] - corners[:, :1]
-    a, b = (organ.uv[:, 1:] - organ.uv[:, :1]).swapaxes(0, 1)
-    # Squared gradients by the first fundamental form, times its determinant.
-    form = (edges @ edges.swapaxes(1, 2))[..., None]
-    u, v = (form[:, 1, 1] * a * a - 2.0 * form[:, 0, 1] * a * b + form[:, 0, 0] * b * b).T
-    square = np.divide(u.clip(0.0), v, out=np.zeros_like(u), where=v > 0.0)
-    return np.sqrt(square).astype(np.float32)
+    along_u, along_v = tangent_lengths(organ.vertices[organ.faces], organ.uv)
+    ratio = np.divide(along_v, along_u, out=np.zeros_like(along_v), where=along_u > 0.0)
+    return ratio.astype(np.float32)
 
 
 VILLUS_SPACING = 0.22 * MM

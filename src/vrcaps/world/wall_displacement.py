@@ -111,11 +111,12 @@ class LumenClosure:
             Indices of the moved vertices and their positions in the world frame [m].
         """
         s_axis, offset_axis = self._axis(T_world_capsule, half_length)
-        (order, sorted_s), span = self._order, _REACH + _FADE
-        first, last = np.searchsorted(sorted_s, [s_axis[0] - span, s_axis[-1] + span])
-        moved = order[first:last]
-        of_vertex = (each[moved] for each in self._polar)
-        s, center, course, outward, radius, mean, tone, narrow, slit, top = of_vertex
+        order, sorted_data = self._sorted
+        span = _REACH + _FADE
+        first, last = np.searchsorted(sorted_data[0], [s_axis[0] - span, s_axis[-1] + span])
+        moved, of_vertex = order[first:last], (each[first:last] for each in sorted_data)
+        s, center, course, outward, radius, mean, tone, narrow, slit, top, *more = of_vertex
+        slit_axes, folds, openness = more
         beyond = np.maximum(np.maximum(s_axis[0] - s, s - s_axis[-1]), 0.0)
         weight = smoothstep((span - beyond) / _FADE)
         own = np.exp(-((beyond / _RECENTER) ** 2))
@@ -128,13 +129,13 @@ class LumenClosure:
         far = smoothstep(away / funnel)
         wanted = (1.0 - far) * _PLAY * shell_radius + far * narrow
         slit = far * slit
-        offset += slit[:, None] * self._slit[moved]
+        offset += slit[:, None] * slit_axes
         depth = np.maximum(mean - wanted, 0.0)
         height = np.sqrt(np.maximum(mean**2 - wanted**2, 0.0)) * _FOLD_SHARE
         height = np.minimum(height, top) * smoothstep(away / _ONSET)
-        free = radius - depth - height * self._folds[moved] - 0.5 * slit - _LEAST
+        free = radius - depth - height * folds - 0.5 * slit - _LEAST
         closed = _LEAST + 0.5 * (free + np.hypot(free, _SOFT))
-        weight = weight * (1.0 - self._openness[moved])
+        weight = weight * (1.0 - openness)
         closed = radius + weight * (np.minimum(closed, radius) - radius)
         return moved, center + weight[:, None] * offset + closed[:, None] * outward
 
@@ -162,10 +163,11 @@ class LumenClosure:
         return transform_points(self.model.T_world_patient, self.model.organ.centerline.points)
 
     @cached_property
-    def _order(self) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Vertices in ascending order of arc length."""
+    def _sorted(self) -> tuple[Int[np.ndarray, " n"], list[np.ndarray]]:
+        """Vertices in ascending order of arc length, and their data in that order."""
         order = np.argsort(self.model.organ.arc_length, kind="stable")
-        return order, self.model.organ.arc_length[order]
+        data = (*self._polar, self._slit, self._folds, self._openness)
+        return order, [each[order] for each in data]
 
     @cached_property
     def _folds(self) -> Float[np.ndarray, " n"]:

@@ -32,7 +32,7 @@ _REACH = 45 * MM
 """Distance from the capsule, along the gut, within which the lumen is closed [m]."""
 _FADE = 25 * MM
 """Distance over which it opens beyond; a closed lumen hides that part."""
-_RECENTER = 16 * MM
+_RECENTER = 9 * MM
 """Distance over which the lumen returns from the capsule's axis to its own course [m]."""
 _SWAY, _PITCHES = 8.0 * MM, (13 * MM, 18 * MM)
 """Amplitude and wavelengths / 2π of the course of the closed lumen about the centerline [m]."""
@@ -46,9 +46,10 @@ _TWIST = 20 * MM
 """Arc length in which the slit turns by half a radian [m]."""
 _FOLD_WAVES = 32
 """Number of waves of each of the two parts of the field whose zeros are the creases."""
-_FOLD_PITCHES, _MAX_LOBES = (2.2 * MM, 4.5 * MM), (2, 4)
-"""Range of the wavelengths / 2π of these waves along the gut [m], and for each part the maximum
-number of waves around it."""
+_FOLD_PITCHES, _MAX_LOBES = (1.4 * MM, 2.8 * MM), (2, 4)
+"""Wavelengths / 2π of these waves along the gut [m], and maximum numbers of waves around it."""
+_SMOOTHED = 0.7
+"""Fraction by which the relief at rest is reduced in a closed section."""
 _FOLD_SHARE, _FOLD_HEIGHT = 0.4, 2.6 * MM
 """Height of the folds relative to √(R² − r²), and its maximum [m]."""
 _CREASE_DEPTH = 0.6
@@ -83,9 +84,9 @@ class LumenClosure:
 
     The circular muscle shortens the wall, and the mucosa, which does not, buckles into folds. Their
     height is proportional to √(R² − r²) for a section that closes from a radius R to r, as for
-    sinusoidal pleats that preserve the perimeter, r² + n² A² / 2 = R². Pockets of gas or fluid hold
-    the lumen open: there the wall stays at rest, in part or in full. Lengths, shares and sizes of
-    folds, slit and pockets are estimates from capsule frames.
+    sinusoidal pleats that preserve the perimeter, r² + n² A² / 2 = R². They replace most of the
+    relief at rest, which would become radial pleats. In pockets of gas or fluid the wall stays at
+    rest, in part or in full. Lengths, shares and sizes are estimates from capsule frames.
 
     Attributes:
         model: Model whose wall is displaced.
@@ -118,7 +119,7 @@ class LumenClosure:
         s, center, course, outward, radius, mean, tone, narrow, slit, top, *more = of_vertex
         slit_axes, folds, openness = more
         beyond = np.maximum(np.maximum(s_axis[0] - s, s - s_axis[-1]), 0.0)
-        weight = smoothstep((span - beyond) / _FADE)
+        weight = smoothstep((span - beyond) / _FADE) * (1.0 - openness)
         own = np.exp(-((beyond / _RECENTER) ** 2))
         offset = own[:, None] * _linear(s, s_axis, offset_axis)
         offset += (1.0 - own)[:, None] * course
@@ -130,12 +131,11 @@ class LumenClosure:
         wanted = (1.0 - far) * _PLAY * shell_radius + far * narrow
         slit = far * slit
         offset += slit[:, None] * slit_axes
-        depth = np.maximum(mean - wanted, 0.0)
         height = np.sqrt(np.maximum(mean**2 - wanted**2, 0.0)) * _FOLD_SHARE
         height = np.minimum(height, top) * smoothstep(away / _ONSET)
-        free = radius - depth - height * folds - 0.5 * slit - _LEAST
+        relief = (1.0 - _SMOOTHED * far) * (radius - mean)
+        free = np.minimum(mean, wanted) + relief - height * folds - 0.5 * slit - _LEAST
         closed = _LEAST + 0.5 * (free + np.hypot(free, _SOFT))
-        weight = weight * (1.0 - openness)
         closed = radius + weight * (np.minimum(closed, radius) - radius)
         return moved, center + weight[:, None] * offset + closed[:, None] * outward
 
@@ -174,9 +174,9 @@ class LumenClosure:
         """Relief of the buckled wall at each vertex: rounded folds between creases, mean 0."""
         s, theta = self.model.organ.arc_length, self.model.organ.theta
         rng, field = self._rng("folds"), np.zeros(len(s))
+        low, high = np.log(_FOLD_PITCHES)
         for lobes, least in zip(_MAX_LOBES, (0, 2), strict=True):
             lobe = rng.integers(least, lobes + 1, _FOLD_WAVES) * rng.choice([-1, 1], _FOLD_WAVES)
-            low, high = np.log(_FOLD_PITCHES)
             turns = np.exp(-rng.uniform(low, high, _FOLD_WAVES))
             phase = rng.uniform(0.0, 2.0 * np.pi, _FOLD_WAVES)
             for n, k, p in zip(lobe, turns, phase, strict=True):

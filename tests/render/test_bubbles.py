@@ -6,19 +6,31 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 from tests.render.test_contents import balls, crossing
-from tests.support.shapes import DIRECT, looking, make_camera, make_model, pinhole, sphere
+from tests.support.shapes import (
+    DIRECT,
+    RADIUS,
+    looking,
+    make_camera,
+    make_model,
+    patterned,
+    pinhole,
+    sphere,
+)
 from vrcaps.camera.camera import Camera, Led, camera_rays
+from vrcaps.core.geometry import unit
 from vrcaps.core.units import MM
 from vrcaps.lumen.contents import Bubbles, Contents
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.particles import BUBBLE
+from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Frame, Renderer
 from vrcaps.render.scattering import fresnel
 
-FILM = Bubbles(gleam=0.0, shade=0.0, stain=(0.0, 0.0, 0.0), ripple=0.0)
-"""A shell without rim, shade and deformation."""
+FILM = Bubbles(gleam=0.0, shade=0.0, stain=(0.0, 0.0, 0.0), ripple=0.0, meniscus=1e-12)
+"""A shell that has emerged from the liquid, without rim, shade and deformation."""
 
 INTENSITY = 2e-3
 
@@ -26,10 +38,15 @@ INTENSITY = 2e-3
 class Scene:
     """Bubbles at positions in the camera frame, in a sphere that an LED at the eye lights."""
 
-    def __init__(self, size: int = 160, led: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+    def __init__(
+        self,
+        size: int = 160,
+        led: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        appearance: Appearance | None = None,
+    ) -> None:
         light = Led(led, (0.0, 0.0, 1.0), (INTENSITY,) * 3, 1.0)
         self.camera: Camera = replace(make_camera(pinhole(size)), leds=(light,))
-        self.renderer = Renderer(make_model(sphere(4), self.camera), DIRECT)
+        self.renderer = Renderer(make_model(sphere(4, appearance=appearance), self.camera), DIRECT)
         self.state = looking((0.0, 0.0, 0.0))
         self.rays = camera_rays(self.camera).astype(float)
 
@@ -44,7 +61,7 @@ class Scene:
         return self.renderer.render(
             replace(self.state, lumen_contents=contents),
             self.camera,
-            channels=("radiance", "foreground_instance", "foreground_depth"),
+            channels=("radiance", "albedo", "depth", "foreground_instance", "foreground_depth"),
         )
 
     def radiance(
@@ -53,8 +70,12 @@ class Scene:
         return self.render(bubbles, centers, radius, color).radiance.astype(float)
 
     def empty(self) -> np.ndarray:
-        frame = self.renderer.render(self.state, self.camera, channels=("radiance",))
-        return frame.radiance.astype(float)
+        return self.wall().radiance.astype(float)
+
+    def wall(self) -> Frame:
+        return self.renderer.render(
+            self.state, self.camera, channels=("radiance", "albedo", "depth")
+        )
 
     def miss(self, center: np.ndarray, radius: float) -> np.ndarray:
         """Squared distance of the rays from a center over the squared radius."""
@@ -88,7 +109,7 @@ def test_a_bubble_mirrors_the_wall_at_twice_the_angle() -> None:
     own = (0.5 / np.pi * INTENSITY * lit)[:, None] * np.ones(3)
     wall = scene.empty()[inner]
     total, behind = own.sum(axis=1), wall.sum(axis=1)
-    mean = 0.55 * total + 0.45 * np.sqrt(total * np.maximum(behind, 0.12 * total))
+    mean = 0.3 * total + 0.7 * np.sqrt(total * np.maximum(behind, 0.12 * total))
     around = mean[:, None] * (wall + 0.2 * own) / (behind + 0.2 * total)[:, None]
     reflected = film(np.sqrt(1.0 - miss[inner]))
     expected = around * (reflected * (2.0 - reflected))[:, None]
@@ -165,6 +186,48 @@ def test_a_bubble_in_liquid_has_a_rim_and_shade() -> None:
     brighter = (scene.radiance(emerged, center, radius, 0.5) / scene.empty())[..., 0]
     assert np.median(brighter[apart < 0.1]) > middle + 0.1
     assert np.median(brighter[(apart > 0.78) & (apart < 0.85)]) < rim - 0.1
+
+
+def test_a_bubble_in_liquid_refracts_the_wall_behind_it() -> None:
+    """Snell's law at both surfaces turns a ray by 2 (arcsin nb - arcsin b) at b of the radius.
+
+    Geometry remains that of straight rays.
+    """
+    bubbles = replace(FILM, meniscus=1.0, border=1.0 - 1.0 / FILM.ior)
+    look = patterned(np.random.default_rng(2))
+    scene, radius = Scene(240, appearance=look), 1.2 * MM
+    center = np.array([0.4, 1.0, 6.0]) * MM
+    seen = scene.render(bubbles, center, radius)
+    apart = np.sqrt(scene.miss(center, radius))
+    inside = (apart < 0.7) & (apart > 0.05)
+    ray, b = scene.rays[inside], apart[inside]
+    aside = unit(ray * (ray @ center)[:, None] - center)
+    first, turned = np.arcsin(b), np.arcsin(FILM.ior * b)
+
+    def leaning(angle: np.ndarray) -> np.ndarray:
+        """Directions that lean from the ray away from the center."""
+        return np.cos(angle)[:, None] * ray + np.sin(angle)[:, None] * aside
+
+    place = center + radius * leaning(2.0 * turned - first)
+    heading = leaning(2.0 * (turned - first))
+    T = scene.state.T_world_capsule @ scene.camera.T_capsule_camera
+    middle = -T[:3, :3].T @ T[:3, 3]
+    offset = place - middle
+    along = (offset * heading).sum(axis=1)
+    way = -along + np.sqrt(along**2 - (offset**2).sum(axis=1) + RADIUS**2)
+    point = place + way[:, None] * heading
+    slope = scene.rays[..., :2] / scene.rays[..., 2:]
+    column, row = ((point[:, :2] / point[:, 2:] - slope[0, 0]) / (slope[1, 1] - slope[0, 0])).T
+    known = (np.minimum(row, column) > 0.0) & (np.maximum(row, column) < 239.0)
+    known &= point[:, 2] > 0.0
+    assert known.sum() > 500
+    wall = scene.wall()
+    albedo = wall.albedo.astype(float)[..., 0]
+    expected = map_coordinates(albedo, [row[known], column[known]], order=1)
+    error = np.abs(seen.albedo.astype(float)[inside][known, 0] - expected)
+    assert np.median(error) < 2e-3 and (error < 0.02).mean() > 0.95
+    assert np.median(np.abs(albedo[inside][known] - expected)) > 0.05
+    np.testing.assert_array_equal(seen.depth, wall.depth)
 
 
 def test_ripple_moves_the_images_of_the_leds_and_keeps_their_mean() -> None:

@@ -12,7 +12,7 @@ use crate::render::lumen::intersect::LumenRays;
 use crate::render::lumen::liquid::{DRY, Optics, Pools, Wet};
 use crate::render::lumen::particle_surfaces::{Particles, paint, write_particles};
 use crate::render::lumen::path_segment::{Bubbles, PathSegment, first_segment, unfolded};
-use crate::render::lumen::refraction::{REFLECTED, REFRACTED, STRAIGHT};
+use crate::render::lumen::refraction::{REFLECTED, REFRACTED, STRAIGHT, Turn};
 use crate::render::material::Surface;
 use crate::render::path::PrimaryHit;
 use crate::render::path::lumen_contents::LumenMedia;
@@ -43,6 +43,28 @@ fn of_wall(triangles: &[u32; LANES], particles: &Particles) -> [u32; LANES] {
     std::array::from_fn(|i| if particles.owner[i] == MISS { triangles[i] } else { MISS })
 }
 
+/// Takes the hits of rays beyond their turns, in some lanes.
+#[inline(always)]
+fn take(
+    turn: &Turn,
+    lanes: &[bool; LANES],
+    (met, theirs): (&Hits, &Particles),
+    (hits, particles): (&mut Hits, &mut Particles),
+    (position, view): (&mut Lane3, &mut Lane3),
+) {
+    for i in (0..LANES).filter(|&i| lanes[i]) {
+        hits.distance[i] = met.distance[i];
+        hits.triangle[i] = met.triangle[i];
+        particles.take(i, (theirs, i));
+        for k in 0..3 {
+            hits.edges[k][i] = met.edges[k][i];
+            let offset = (met.distance[i] - turn.distance[i]) * turn.heading[k][i];
+            position[k][i] = turn.place[k][i] + offset;
+            view[k][i] = -turn.heading[k][i];
+        }
+    }
+}
+
 /// Hits of the rays of a tile.
 pub struct Seen {
     /// Hits of straight rays on the wall.
@@ -58,8 +80,20 @@ struct VisibleSurfaces {
     hits: Hits,
     particles: Particles,
     found: Attributes,
+    /// The same without refraction in bubbles, if there is any: what geometry and labels state.
+    unbent: Option<Box<(Hits, Attributes)>>,
     /// Liquid on the path, if any.
     wet: Option<Wet>,
+}
+
+impl VisibleSurfaces {
+    /// Hits and surfaces without refraction in bubbles.
+    fn unbent(&self) -> (&Hits, &Attributes) {
+        match &self.unbent {
+            Some(unbent) => (&unbent.0, &unbent.1),
+            None => (&self.hits, &self.found),
+        }
+    }
 }
 
 impl TileRenderer for LumenTiles<'_> {
@@ -133,8 +167,9 @@ impl TileRenderer for LumenTiles<'_> {
             wall.render_hits(tile, (&rays, &seen.straight), place, (given, scratch), out);
             return;
         };
-        let VisibleSurfaces { rays, hits, particles, found, wet } = &**seen;
-        let bubbles = self.bubbles(tile, rays, hits, scratch);
+        let VisibleSurfaces { rays, hits, particles, found, wet, .. } = &**seen;
+        let (unbent_hits, unbent) = seen.unbent();
+        let bubbles = self.bubbles(tile, rays, unbent_hits, scratch);
         if out.wants_color() {
             let surface = self.surface(found, hits, particles, tile.pixel_angle);
             let triangles = of_wall(&hits.triangle, particles);
@@ -151,7 +186,7 @@ impl TileRenderer for LumenTiles<'_> {
             write_color((&surface, &radiance), &found.hit, view.exposure, place, out);
         }
         let mut front = Foreground::of_liquid(wet.as_ref());
-        let reach = first_segment(wet.as_ref(), hits);
+        let reach = first_segment(wet.as_ref(), unbent_hits);
         for near in &bubbles {
             // The first crossing of bubbles that overlap is that of a sphere.
             let sphere = &self.contents.bubbles.all[near.index as usize];
@@ -160,9 +195,9 @@ impl TileRenderer for LumenTiles<'_> {
         }
         front.write(tile, place, out);
         let kind = wet.as_ref().map_or([STRAIGHT; LANES], |wet| wet.turn.kind);
-        place.write(&mut out.refraction_label, &kind, &found.hit, STRAIGHT);
+        place.write(&mut out.refraction_label, &kind, &unbent.hit, STRAIGHT);
         place.write_subsampled(&mut out.sparse_refraction, 1, |i, _| kind[i]);
-        write_geometry(view, tile, hits, found, place, out);
+        write_geometry(view, tile, unbent_hits, unbent, place, out);
     }
 }
 
@@ -193,11 +228,33 @@ impl<'a> LumenTiles<'a> {
         scratch: &mut Scratch,
     ) -> bool {
         let Contents { chyme, pools, .. } = self.contents;
-        if pools.is_some() || !chyme.all.is_empty() {
+        if pools.is_some() || (!chyme.all.is_empty() && self.has_particles(rays, hits, scratch)) {
             return false;
         }
         self.gather(tile, rays, hits, scratch);
         scratch.near.is_empty()
+    }
+
+    /// True if particles may be in the bounding box of camera, LEDs and hits.
+    #[inline(always)]
+    fn has_particles(&self, rays: &Pyramid, hits: &Hits, scratch: &mut Scratch) -> bool {
+        let (origin, leds) = (self.bare.view.origin, &self.bare.view.leds);
+        let (mut low, mut high) = (origin, origin);
+        let mut enclose = |point: Vec3| {
+            for k in 0..3 {
+                low[k] = min(low[k], point[k]);
+                high[k] = max(high[k], point[k]);
+            }
+        };
+        for led in leds {
+            enclose(led.position.map(|x| x - led.radius));
+            enclose(led.position.map(|x| x + led.radius));
+        }
+        for i in 0..LANES {
+            enclose(add(origin, scale(at(&rays.directions, i), hits.distance[i])));
+        }
+        self.contents.chyme.within((low, high), origin, &mut scratch.near);
+        !scratch.near.is_empty()
     }
 
     fn optics(&self) -> Option<&Optics> {
@@ -236,17 +293,9 @@ impl<'a> LumenTiles<'a> {
                         &mut scratch.near,
                     )
                 };
-                for i in (0..LANES).filter(|&i| lanes[i]) {
-                    hits.distance[i] = met.distance[i];
-                    hits.triangle[i] = met.triangle[i];
-                    particles.take(i, (&theirs, i));
-                    for k in 0..3 {
-                        hits.edges[k][i] = met.edges[k][i];
-                        let offset = (met.distance[i] - turn.distance[i]) * turn.heading[k][i];
-                        found.position[k][i] = turn.place[k][i] + offset;
-                        found.view[k][i] = -turn.heading[k][i];
-                    }
-                }
+                let (position, view) = (&mut found.position, &mut found.view);
+                let beyond = (&met, &theirs);
+                take(turn, &lanes, beyond, (&mut hits, &mut particles), (position, view));
             }
             found = attributes_at(wall, scene, found.position, found.view, &hits);
         }
@@ -257,7 +306,41 @@ impl<'a> LumenTiles<'a> {
                 wet.turn.kind[i] = if found.hit[i] { wet.turn.kind[i] } else { STRAIGHT };
             }
         }
-        VisibleSurfaces { rays, hits, particles, found, wet }
+        let mut seen = VisibleSurfaces { rays, hits, particles, found, unbent: None, wet };
+        if tile.any && seen.wet.is_none() {
+            self.refract_in_bubbles(tile, &mut seen, scratch);
+        }
+        seen
+    }
+
+    /// Replaces surfaces by those that refraction in bubbles makes visible.
+    #[inline(always)]
+    fn refract_in_bubbles(
+        &self,
+        tile: &TileRays,
+        seen: &mut VisibleSurfaces,
+        scratch: &mut Scratch,
+    ) {
+        let (wall, scene, origin) = (self.bare.wall, self.bare.scene, self.bare.view.origin);
+        let Contents { bubbles, chyme, film, label, .. } = self.contents;
+        self.gather(tile, &seen.rays, &seen.hits, scratch);
+        let near = (bubbles, &scratch.near[..]);
+        let turn = film.refract(near, wall, (origin, &seen.rays), &seen.hits.distance);
+        let Some(turn) = turn else { return };
+        let mut lanes = turn.are(REFRACTED);
+        let (met, theirs) = self.rays().intersect_refracted(&turn, &lanes, &mut scratch.near);
+        for i in 0..LANES {
+            lanes[i] &= (met.triangle[i] != MISS) | (theirs.owner[i] != MISS);
+        }
+        let (mut hits, mut particles) = (seen.hits.clone(), seen.particles.clone());
+        let (mut position, mut view) = (seen.found.position, seen.found.view);
+        let beyond = (&met, &theirs);
+        take(&turn, &lanes, beyond, (&mut hits, &mut particles), (&mut position, &mut view));
+        let mut found = attributes_at(wall, scene, position, view, &hits);
+        write_particles(chyme, *label, &particles, &mut found);
+        let unbent =
+            (std::mem::replace(&mut seen.hits, hits), std::mem::replace(&mut seen.found, found));
+        (seen.particles, seen.unbent) = (particles, Some(Box::new(unbent)));
     }
 
     #[inline(always)]
@@ -333,7 +416,8 @@ impl<'a> LumenTiles<'a> {
         scratch: &mut Scratch,
         radiance: &mut Lane3,
     ) {
-        let VisibleSurfaces { rays, hits, wet, .. } = seen;
+        let VisibleSurfaces { rays, wet, .. } = seen;
+        let hits = seen.unbent().0;
         let (leds, film) = (&self.bare.view.leds[..], &self.contents.film);
         let spheres = &self.contents.bubbles;
         let liquid = self.optics().zip(wet.as_ref());

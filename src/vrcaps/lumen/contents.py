@@ -44,18 +44,20 @@ class Bubbles:
         landing_rate: Rate at which bubbles settle on a round end that they touch [1/s].
         release_rate: Rate at which bubbles there detach in liquid [1/s].
         ior: Refractive index of the film (water: 1.333).
-        border: Width of the bright rim of a bubble in liquid, as a fraction of the radius. Light
+        border: Width w of the bright rim of a bubble in liquid, as a fraction of the radius. Light
             from liquid is totally reflected beyond 1/n of the radius, so that a bubble deep in
-            liquid has 0.25; the default is that of bubbles on a wall in capsule images.
+            liquid has 0.25; the default is that of bubbles on a wall in capsule images. Rays
+            through the rest are refracted with the relative index 1/(1 − w).
         gleam: Fraction of light from the surroundings that the rim reflects.
         stain: Density of absorption in the rim for red, green and blue; bile absorbs blue.
         meniscus: Radius up to which bubbles lie wholly in liquid [m]. Larger ones, of radius R,
-            emerge; their rim narrows and their shade fades by ``√(meniscus/R)``.
+            emerge; rim, refraction and shade fade by ``√(meniscus/R)``. Bubbles above a fifth of it
+            lie lower on the wall.
         shade: Fraction of its light that the wall below a bubble in liquid loses. The bubble is a
             diverging lens of focal length 1.5 R: 0.59 on its axis, 0.85 R below its center, if
             tissue does not spread the light.
-        ripple: RMS slope of its deviations from a sphere, which displace, magnify and dim the
-            images of the LEDs. Width and brightness of the rim vary around a bubble anyway.
+        ripple: RMS slope of its deviations from a sphere, which displace and distort the images
+            of the LEDs. Width and brightness of the rim vary around a bubble anyway.
         roughness: Roughness α of the film in the specular reflection of an LED.
         color: Linear color of the surroundings reflected by the film, with the wall behind.
     """
@@ -73,11 +75,11 @@ class Bubbles:
     landing_rate: _NotNegative = 2.0
     release_rate: _NotNegative = 0.05
     ior: Annotated[float, Range(above=1.0, below=3.0)] = 1.333
-    border: Annotated[float, Range(above=0.0, below=1.0)] = 0.14
-    gleam: _Fraction = 0.95
-    stain: tuple[_NotNegative, _NotNegative, _NotNegative] = (0.0, 0.03, 0.1)
-    meniscus: Annotated[float, Range(above=0.0, unit="m")] = 0.15 * MM
-    shade: _Fraction = 0.9
+    border: Annotated[float, Range(above=0.0, below=1.0)] = 0.18
+    gleam: _Fraction = 0.9
+    stain: tuple[_NotNegative, _NotNegative, _NotNegative] = (0.0, 0.015, 0.05)
+    meniscus: Annotated[float, Range(above=0.0, unit="m")] = 0.7 * MM
+    shade: _Fraction = 0.75
     ripple: Annotated[float, Range(0.0, 0.5)] = 0.22
     roughness: Annotated[float, Range(above=0.0, max=1.0)] = 0.005
     color: tuple[_Fraction, _Fraction, _Fraction] = (0.5, 0.34, 0.2)

@@ -29,6 +29,9 @@ _LIFT_BUBBLE, _EMERGED = 0.85, 0.35
 """Height of a bubble's center above the wall it clings to, as a fraction of its radius: of a bubble
 in liquid and of a large one. A film meets a wet wall at a right angle (Plateau), so a bubble that
 has emerged from the liquid is a hemisphere."""
+_LAYER = 0.2
+"""Thickness of the liquid on a wall relative to the size of the meniscus that it forms around a
+bubble."""
 _TOUCH = 0.88
 """Distance between neighbors in a raft as a fraction of the sum of their radii; they share a flat
 wall."""
@@ -45,8 +48,10 @@ _SCATTER = 0.7
 _MAX_ON_DOME = 0.6 * MM
 """Maximum radius of a bubble on the capsule [m]; the wall wipes larger ones off. The flow of the
 image takes a bubble whose near side is within 1 mm of the shell to move with the capsule."""
-_TRIES = 12
-"""Random positions tried for each sphere of a cluster."""
+_TRIES = {2: 12, 3: 2}
+"""Random positions tried for each sphere of a raft or a clump: few, so that clumps branch."""
+_SLENDER = 4.0
+"""Maximum ratio of the length of a clump, around the gut, to its width."""
 _CREASES, _FOLD = 4, 4.0 * MM
 """Positions tried for each raft of bubbles, and half their distance along the gut [m]."""
 _MOST = 10_000_000
@@ -74,7 +79,7 @@ def sizes(total: int, mean: float, rng: np.random.Generator) -> Int[np.ndarray, 
 
 def lifts(bubbles: Bubbles, radius: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Heights of the centers of bubbles above the wall they cling to [m], by their radii [m]."""
-    sunk = np.minimum(bubbles.meniscus / radius, 1.0)
+    sunk = np.minimum(_LAYER * bubbles.meniscus / radius, 1.0)
     return radius * (_EMERGED + (_LIFT_BUBBLE - _EMERGED) * sunk)
 
 
@@ -96,7 +101,7 @@ def pack(
         counts: Number of spheres in each cluster.
         radius: Radii of all spheres, cluster after cluster [m].
         rng: Random generator.
-        dimensions: 2 for rafts in the plane z = 0, 3 for clumps on it.
+        dimensions: 2 for rafts in the plane z = 0, 3 for clumps on it, which branch.
         touch: Distance between neighbors as a fraction of the sum of their radii.
         stretch: Length of each cluster along its second axis over its width.
 
@@ -108,7 +113,7 @@ def pack(
     stretches = np.broadcast_to(np.asarray(stretch, float), counts.shape)
     for member in range(1, int(counts.max(initial=0))):
         start = first[counts > member]
-        shape = (len(start), _TRIES)
+        shape = (len(start), _TRIES[dimensions])
         neighbor = start[:, None] + rng.integers(0, member, shape)
         direction = rng.standard_normal((*shape, 3))
         direction[..., 2] = _FLATTENING * np.abs(direction[..., 2]) if dimensions == 3 else 0.0
@@ -201,7 +206,8 @@ def place_chyme(
         return no_spheres()
     clumps.settle(-up, chyme.settled)
     radius = clumps.radii(chyme)
-    positions = clumps.spread(radius, dimensions=3, touch=_BOUND)
+    stretch = _SLENDER ** rng.random(len(clumps.counts))
+    positions = clumps.spread(radius, dimensions=3, touch=_BOUND, stretch=stretch)
     distance = wall.signed_distance(positions)
     lifted = _on_wall(organ, wall, positions, _LIFT_CHYME * radius)
     centers = np.where((distance < _LIFT_CHYME * radius)[:, None], lifted, positions)

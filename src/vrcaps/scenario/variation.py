@@ -60,6 +60,11 @@ STAIN = (1.0, 2.5, 12.0)
 """Median absorption of clear fluid in the small bowel for red, green and blue [1/m]: chosen so that
 blue falls from bright to dark parts of a frame as in real frames."""
 
+_Color = tuple[float, float, float]
+
+BILE, RESIDUE, FLECKS = (0.4, 0.34, 0.08), (0.22, 0.12, 0.04), (0.5, 0.45, 0.36)
+"""Linear colors of debris, by eye: stained by bile, brown, and white."""
+
 _TURBIDITY = 0.8
 """Median scattering coefficient of turbid fluid, relative to that of `Medium`."""
 
@@ -69,6 +74,7 @@ PREVALENCES: Mapping[str, Prevalence] = MappingProxyType(
             {None: 0.92, "normal": 0.08},
             (0.5, 0.78),
             bubbles=0.25,
+            chyme=0.08,
             medium=0.35,
             stain=1.0,
             film=0.4,
@@ -83,8 +89,8 @@ PREVALENCES: Mapping[str, Prevalence] = MappingProxyType(
 """Prevalences by generated organ. All are assumed; those of the small bowel follow estimates from
 real frames: turbid fluid in a third, an open round lumen in fewer than one in ten, and a third to
 a half of the frames soft. Bubbles are drawn everywhere; a third of real frames of the small bowel
-have them. Chyme and pools are absent, since there is no evidence that they make images more
-realistic."""
+have them, and every tenth debris. Chyme elsewhere and pools are absent, since there is no evidence
+that they make images more realistic."""
 
 
 def varied(scenario: Scenario) -> Scenario:
@@ -170,15 +176,29 @@ def _bubbles(mean: float, rng: np.random.Generator) -> Bubbles | int:
 
 
 def _chyme(mean: float, rng: np.random.Generator) -> Chyme | int:
-    """Debris of one patient, from specks to much of the wall, where there is any."""
+    """Debris of one patient, where there is any: white flecks and residue, from bile to brown."""
     prevalence, amount = _fraction(mean, rng), float(rng.uniform())
+    white, brown = float(rng.uniform(0.2, 0.9)), float(rng.uniform())
     if prevalence == 0.0:
         return 0
     return Chyme(
-        per_area=round(1.5 * 20.0**amount / CM2, 1),
+        per_area=round(6.0 * 7.0**amount / CM2, 1),
         prevalence=prevalence,
-        clump_size=round(8.0 * 6.0**amount, 2),
+        clump_size=round(4.0 * 5.0**amount, 2),
+        radius=round(0.07 * MM * 1.8**amount, 7),
+        smallest=0.03 * MM,
+        white=round(white, 3),
+        yellow_color=_between(brown, BILE, RESIDUE),
+        white_color=FLECKS,
     )
+
+
+def _between(part: float, first: _Color, second: _Color) -> _Color:
+    """Geometric mean of two colors, with the weight `part` for the second."""
+    red, green, blue = (
+        round(a ** (1.0 - part) * b**part, 4) for a, b in zip(first, second, strict=True)
+    )
+    return red, green, blue
 
 
 def _medium(of: Prevalence, rng: np.random.Generator) -> Medium | int:
@@ -201,7 +221,7 @@ def _medium(of: Prevalence, rng: np.random.Generator) -> Medium | int:
     )
 
 
-def _scaled(factor: float, color: tuple[float, float, float]) -> tuple[float, float, float]:
+def _scaled(factor: float, color: _Color) -> _Color:
     red, green, blue = (round(factor * x, 3) for x in color)
     return red, green, blue
 

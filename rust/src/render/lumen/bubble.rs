@@ -8,7 +8,7 @@
 //! A bubble up to the size of the meniscus lies wholly in liquid. Light that meets it from there at
 //! an angle beyond arcsin(1/n) is totally reflected (Davis, J. Opt. Soc. Am. 45, 1955; Marston,
 //! ibid. 69, 1979), hence its bright rim from 1/n = 0.75 of its radius to its outline, which shows
-//! the wall around it. The rest acts as a diverging lens, below which the wall gets less light.
+//! the wall around it. The rest is a diverging `lens`, below which the wall gets less light.
 
 use super::rim::Rim;
 use crate::lumen::clump::wave;
@@ -147,106 +147,24 @@ impl Film {
 
     /// Fraction of light that the film reflects.
     #[inline(always)]
-    fn film(&self, cosine: f32) -> f32 {
+    pub fn film(&self, cosine: f32) -> f32 {
         let surface = fresnel(cosine, self.ior);
         2.0 * surface / (1.0 + surface)
     }
 
     /// Part of a bubble that lies in liquid: 1 up to the size of the meniscus, above which it emerges.
     #[inline(always)]
-    fn sunk(&self, sphere: &Sphere) -> f32 {
+    pub fn sunk(&self, sphere: &Sphere) -> f32 {
         min((self.meniscus / sphere.radius).sqrt(), 1.0)
-    }
-
-    /// Adds the mirror images of the LEDs: Gaussian lobes of normals about the mirroring normals,
-    /// wide enough that every pixel near them samples them, with the same energy.
-    #[inline(always)]
-    fn add_images(
-        &self,
-        sphere: &Sphere,
-        (distances, seen): (&Lane, &[bool; LANES]),
-        eye: &Eye<'_>,
-        leds: &[Led],
-        (blur, front): (f32, bool),
-        behind: &mut Behind<'_>,
-    ) {
-        let mut found: Option<Lane3> = None;
-        for led in leds {
-            let Some(image) = self.image(sphere, eye, led, (blur, front)) else { continue };
-            let normals = found.get_or_insert_with(|| normals(sphere, distances, eye));
-            for i in 0..LANES {
-                let apart = sub(at(normals, i), image.normal);
-                let light = image.peak * exp2(-image.steepness * dot(apart, apart));
-                let light = if seen[i] { light } else { 0.0 };
-                for k in 0..3 {
-                    behind.radiance[k][i] += led.intensity[k] * light;
-                }
-            }
-        }
-    }
-
-    /// Mirror image of an LED; none if no ray of the tile comes near it.
-    #[inline(always)]
-    fn image(
-        &self,
-        sphere: &Sphere,
-        eye: &Eye<'_>,
-        led: &Led,
-        (blur, front): (f32, bool),
-    ) -> Option<Image> {
-        let (mirror, light, view) = mirror_place(sphere, eye.origin, led, front);
-        let (normal, magnification) = self.rippled(sphere, mirror);
-        let half = if front { mirror } else { scale(mirror, -1.0) };
-        let offset = sub(led.position, sphere.center);
-        let square = max(dot(offset, offset), sphere.radius * sphere.radius);
-        let cosine = max(dot(half, view), 0.05);
-        let axis = clamp(-dot(light, led.direction), 0.0, 1.0);
-        // The variance of a uniform disc is half its squared radius, that of a Gaussian its own.
-        let disc = 0.5 * led.half_vectors(square, axis, cosine) * magnification;
-        let spread = self.roughness * self.roughness + blur * blur + disc;
-        let place = add(offset_of(sphere, eye), scale(normal, sphere.radius));
-        let reach = -FADED * spread.sqrt() * sphere.radius;
-        if eye.rays.closed && eye.rays.sides.iter().any(|side| dot(*side, place) < reach) {
-            return None;
-        }
-        // In liquid, only the surface of the gas reflects.
-        let (film, sunk) = (self.film(cosine), self.sunk(sphere));
-        let reflected = film + (fresnel(cosine, self.ior) - film) * sunk;
-        let energy = reflected * led.lobe(axis) * magnification;
-        let peak = energy / (4.0 * PI * spread * cosine * square);
-        Some(Image { normal, peak, steepness: LOG2_E / spread })
-    }
-
-    /// Place of a mirror image in a rippled sphere with the radius 1 + η(n) in the direction n, and
-    /// the area of the image relative to that in the sphere.
-    ///
-    /// Its normal is n − ∇η, to first order, so the normal h is found at h + ∇η and the area of
-    /// the image changes by the determinant of that map, 1 + ∇²η.
-    #[inline(always)]
-    fn rippled(&self, sphere: &Sphere, mirror: Vec3) -> (Vec3, f32) {
-        let amplitude = self.ripple / SLOPE;
-        let (mut slope, mut curvature) = ([0.0; 3], 0.0);
-        for (k, way) in RIPPLES.iter().enumerate() {
-            let along = dot(mirror, *way);
-            let (value, rise) = wave(along + sphere.phases[k]);
-            let across = dot(*way, *way) - along * along;
-            slope = add(slope, scale(*way, amplitude * rise));
-            curvature -= amplitude * (32.0 * across * value.signum() + 2.0 * along * rise);
-        }
-        let aside = sub(slope, scale(mirror, dot(slope, mirror)));
-        (normalize(add(mirror, aside)), max(1.0 + curvature, 0.05))
     }
 }
 
 /// Directions of the waves of the ripple, times their periods per radius.
-const RIPPLES: [Vec3; 3] = [[0.47, 0.23, -0.23], [-0.22, 0.54, 0.2], [0.2, -0.2, 0.64]];
-
-/// Root mean square slope of the ripple at unit amplitude.
-const SLOPE: f32 = 4.12;
+pub const RIPPLES: [Vec3; 3] = [[0.47, 0.23, -0.23], [-0.22, 0.54, 0.2], [0.2, -0.2, 0.64]];
 
 /// Outward unit normals of a sphere at distances along the rays.
 #[inline(always)]
-fn normals(sphere: &Sphere, distances: &Lane, eye: &Eye<'_>) -> Lane3 {
+pub fn normals(sphere: &Sphere, distances: &Lane, eye: &Eye<'_>) -> Lane3 {
     let inverse = 1.0 / sphere.radius;
     let mut normals = [[0.0; LANES]; 3];
     for k in 0..3 {
@@ -258,54 +176,9 @@ fn normals(sphere: &Sphere, distances: &Lane, eye: &Eye<'_>) -> Lane3 {
     normals
 }
 
-/// Mirror image of an LED.
-struct Image {
-    /// Direction of its place from the center.
-    normal: Vec3,
-    /// Radiance at its place for an LED of unit intensity [1/m²].
-    peak: f32,
-    /// Inverse of the variance of its lobe, times log₂ e.
-    steepness: f32,
-}
-
-/// Mirror image of an LED in a shell: unit directions of the mirroring point from the center, and
-/// from it to the LED and to the camera. Iterated from the solution for infinite distances.
-#[inline(always)]
-fn mirror_place(sphere: &Sphere, eye: Vec3, led: &Led, front: bool) -> (Vec3, Vec3, Vec3) {
-    let sign = if front { 1.0 } else { -1.0 };
-    let mut place = sphere.center;
-    let (mut mirror, mut light, mut view) = ([0.0; 3], [0.0; 3], [0.0; 3]);
-    for _ in 0..mirror_steps(sphere, eye, led) {
-        light = normalize(sub(led.position, place));
-        view = normalize(sub(eye, place));
-        mirror = scale(normalize(add(light, view)), sign);
-        place = add(sphere.center, scale(mirror, sphere.radius));
-    }
-    (mirror, light, view)
-}
-
-/// Number of iterations towards the mirroring point; each reduces the error by the ratio of the
-/// radius to the distance of LED and camera. It is below 1 % of the radius for ratios up to 0.3.
-#[inline(always)]
-fn mirror_steps(sphere: &Sphere, eye: Vec3, led: &Led) -> usize {
-    let offsets = [eye, led.position].map(|from| sub(from, sphere.center));
-    let square = min(dot(offsets[0], offsets[0]), dot(offsets[1], offsets[1]));
-    let ratio = sphere.radius * sphere.radius / square;
-    if ratio < 0.01 {
-        2
-    } else if ratio < 0.04 {
-        3
-    } else {
-        4
-    }
-}
-
-/// Standard deviations beyond which a mirror image is invisible.
-const FADED: f32 = 3.5;
-
 /// Vector from the camera to the center of a sphere.
 #[inline(always)]
-fn offset_of(sphere: &Sphere, eye: &Eye<'_>) -> Vec3 {
+pub fn offset_of(sphere: &Sphere, eye: &Eye<'_>) -> Vec3 {
     sub(sphere.center, eye.origin)
 }
 
@@ -323,7 +196,7 @@ struct Shell {
 const LEAST: f32 = 0.12;
 
 /// Weight of a wall that faces the LEDs in the radiance of reflections.
-const OWN_PART: f32 = 0.55;
+const OWN_PART: f32 = 0.3;
 
 /// Weight of the bubble's color in the hue of its reflections.
 const OWN_HUE: f32 = 0.2;

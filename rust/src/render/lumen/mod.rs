@@ -3,7 +3,9 @@
 pub mod bubble;
 pub mod foreground;
 pub mod intersect;
+pub mod lens;
 pub mod liquid;
+pub mod mirror_images;
 pub mod particle_surfaces;
 pub mod path_segment;
 pub mod refraction;

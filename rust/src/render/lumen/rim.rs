@@ -42,17 +42,19 @@ impl Rim {
 
     /// Reflection of the rim and relative radiance of the wall below at a distance from the edge.
     ///
-    /// Width and reflection differ around a bubble with the waves of its ripple; at both edges of
-    /// the rim, light is refracted elsewhere.
+    /// Width and reflection differ around a bubble, and the shade within it, with the waves of its
+    /// ripple; at both edges of the rim, light is refracted elsewhere.
     #[inline(always)]
     pub fn at(&self, edge: f32, waves: [f32; 2]) -> (f32, f32) {
-        let edge = edge * (1.0 + 0.25 * waves[0]);
+        let edge = edge * (1.0 + 0.3 * waves[0]);
         let inside = edge - self.width;
         let inner = smooth((inside + self.soft) * self.per_soft);
         let place = min(edge * self.per_width, 1.0);
-        let profile = (0.6 + 1.6 * place * (1.0 - place)) * (0.88 + 0.12 * waves[1]);
+        let ridge = 4.0 * place * (1.0 - place);
+        let profile = (0.3 + 0.7 * ridge * ridge) * (0.75 + 0.25 * waves[1]);
         let (outline, near) = (bump(2.5 * edge * self.narrow), bump(0.8 * inside * self.narrow));
-        let shade = self.shade * (inner * (0.7 + 0.5 * near) + outline);
+        let mottle = 0.3 * waves[0] * waves[1] * near;
+        let shade = self.shade * (inner * (0.7 + 0.5 * near + mottle) + outline);
         (self.gleam * profile * (1.0 - inner), 1.0 - min(shade, 1.0))
     }
 }

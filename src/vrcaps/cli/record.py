@@ -111,8 +111,8 @@ class Record:
     The result is an episode: images by camera and channel, a table of poses, the organ as GLB, a
     contact sheet and a preview. To resume an interrupted run, repeat the command.
 
-    Unless they are set, turbid fluid, the film on the dome, tilt and distension are drawn by
-    prevalence in a generated organ; --set variation=false leaves the lumen empty.
+    Unless they are set, bubbles, debris, turbid fluid, the film on the dome, tilt and distension
+    are drawn by prevalence in a generated organ; --set variation=false leaves the lumen empty.
 
     A scenario file describes a whole recording; flags and --set change individual values. Every
     value of the scenario has a path: vrcaps record --list-settings prints all of them with their

@@ -129,15 +129,8 @@ pub fn immerse<'py>(
             .zip(blue.par_chunks_mut(width));
         lines.par_iter_mut().zip(veils).zip(clear.par_chunks_mut(width)).enumerate().for_each(
             |(y, ((line, ((red, green), blue)), clear))| {
-                for x in 0..width {
-                    let pixel = y * width + x;
-                    let Some(node) = grid.at(&rig, (y, x), distance[pixel]) else { continue };
-                    for (k, veil) in [&mut *red, &mut *green, &mut *blue].into_iter().enumerate() {
-                        veil[x] = node[k];
-                        line[[k, x]] *= node[3 + k] * node[6 + k];
-                    }
-                    clear[x] = (-node[9]).exp();
-                }
+                let out = Line { image: line, veil: [red, green, blue], clear };
+                immerse_line(&grid, &rig, y, &distance[y * width..][..width], out);
             },
         );
     });
@@ -145,6 +138,32 @@ pub fn immerse<'py>(
     let veil = ndarray::Array3::from_shape_vec((3, height, width), veil).expect(shape);
     let clear = ndarray::Array2::from_shape_vec((height, width), clear).expect(shape);
     Ok((veil.into_pyarray(py), clear.into_pyarray(py)))
+}
+
+/// A line of an image, of the light scattered to the camera by color, and of the unscattered
+/// fraction of the wall's light.
+struct Line<'a, 'b> {
+    image: &'a mut ndarray::ArrayViewMut2<'b, f32>,
+    veil: [&'a mut [f32]; 3],
+    clear: &'a mut [f32],
+}
+
+/// Attenuates the light of the wall at some distances [w] in line `y` of an image.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn immerse_line(grid: &Grid, rig: &Rig<'_>, y: usize, distance: &[f32], out: Line<'_, '_>) {
+    let Line { image, veil, clear } = out;
+    for (x, &distance) in distance.iter().enumerate() {
+        let Some(node) = grid.at(rig, (y, x), distance) else { continue };
+        for k in 0..3 {
+            veil[k][x] = node[k];
+            image[[k, x]] *= node[3 + k] * node[6 + k];
+        }
+        clear[x] = (-node[9]).exp();
+    }
 }
 
 /// Integrals along the rays of every few pixels, at the ends of all intervals.
@@ -171,6 +190,7 @@ impl Grid {
     }
 
     /// Values at a distance along the ray of a pixel; None if no node near it is known.
+    #[inline(always)]
     fn at(&self, rig: &Rig<'_>, (y, x): (usize, usize), distance: f32) -> Option<Node> {
         let (_, start) = rig.ray(y * rig.size.1 + x)?;
         let distance = if distance.is_finite() { distance } else { FARTHEST };
@@ -195,6 +215,7 @@ impl Grid {
 
 /// Nodes around a pixel and their weights, of the quadratic B-spline: linear weights would show
 /// flocs as blocks.
+#[inline(always)]
 fn spline(pixel: usize, step: usize, count: usize) -> [(usize, f32); 3] {
     let at = pixel as f32 / step as f32;
     let middle = at.round();
@@ -205,6 +226,7 @@ fn spline(pixel: usize, step: usize, count: usize) -> [(usize, f32); 3] {
 
 impl Rig<'_> {
     /// Direction of a pixel's ray and the distance at which it leaves the capsule [m].
+    #[inline(always)]
     fn ray(&self, pixel: usize) -> Option<(Vec3, f32)> {
         let ray = [0, 1, 2].map(|k| self.rays[3 * pixel + k]);
         ray.iter().all(|x| x.is_finite()).then(|| (ray, self.start[pixel]))
@@ -356,7 +378,11 @@ fn irradiance(led: &[f32; 10], point: Vec3) -> (Vec3, f32) {
     let square = dot(way, way).max(1e-8);
     let length = square.sqrt();
     let cosine = dot(way, [led[3], led[4], led[5]]) / length;
-    let lobe = if led[9] == 0.0 { 1.0 } else { libm::powf(cosine.max(0.0), led[9]) };
+    let lobe = match led[9] {
+        0.0 => 1.0,
+        1.0 => cosine.max(0.0),
+        exponent => libm::powf(cosine.max(0.0), exponent),
+    };
     ([6, 7, 8].map(|k| led[k] * lobe / square), length)
 }
 

@@ -144,7 +144,7 @@ def test_the_slit_is_a_segment(turn):
     model = straight()
     closure = LumenClosure(model, CLOSED)
     is_near = np.abs(model.organ.arc_length - 130 * MM - turn * 10 * MM) < 0.4 * MM
-    along = closure._slit[is_near]
+    along = closure._polar()[-1][is_near]
     spread = np.linalg.svd(along[:, :2] - along[:, :2].mean(axis=0))[1]
     assert np.ptp(np.linalg.norm(along[:, :2], axis=1)) > 0.8
     assert 0.05 < spread[1] / spread[0] < 0.2

@@ -80,7 +80,9 @@ struct VisibleSurfaces {
     hits: Hits,
     particles: Particles,
     found: Attributes,
-    /// The same without refraction in bubbles, if there is any: what geometry and labels state.
+    /// Bubbles that may be visible on straight rays from the camera, the farthest first.
+    bubbles: Vec<Near>,
+    /// Hits and surfaces without refraction in bubbles, if there is any: what labels state.
     unbent: Option<Box<(Hits, Attributes)>>,
     /// Liquid on the path, if any.
     wet: Option<Wet>,
@@ -167,9 +169,8 @@ impl TileRenderer for LumenTiles<'_> {
             wall.render_hits(tile, (&rays, &seen.straight), place, (given, scratch), out);
             return;
         };
-        let VisibleSurfaces { rays, hits, particles, found, wet, .. } = &**seen;
+        let VisibleSurfaces { rays, hits, particles, found, bubbles, wet, .. } = &**seen;
         let (unbent_hits, unbent) = seen.unbent();
-        let bubbles = self.bubbles(tile, rays, unbent_hits, scratch);
         if out.wants_color() {
             let surface = self.surface(found, hits, particles, tile.pixel_angle);
             let triangles = of_wall(&hits.triangle, particles);
@@ -182,12 +183,12 @@ impl TileRenderer for LumenTiles<'_> {
             let mut radiance = self.light(lit, (found, hits), wet.as_ref(), visible, scratch);
             scratch.fractions = fractions;
             add_indirect(given.indirect, &mut radiance);
-            self.transmit(seen, &bubbles, tile.pixel_angle, scratch, &mut radiance);
+            self.transmit(seen, tile.pixel_angle, scratch, &mut radiance);
             write_color((&surface, &radiance), &found.hit, view.exposure, place, out);
         }
         let mut front = Foreground::of_liquid(wet.as_ref());
         let reach = first_segment(wet.as_ref(), unbent_hits);
-        for near in &bubbles {
+        for near in bubbles {
             // The first crossing of bubbles that overlap is that of a sphere.
             let sphere = &self.contents.bubbles.all[near.index as usize];
             let [first, second, _] = sphere.ends(&|_| view.origin, &rays.directions);
@@ -306,25 +307,21 @@ impl<'a> LumenTiles<'a> {
                 wet.turn.kind[i] = if found.hit[i] { wet.turn.kind[i] } else { STRAIGHT };
             }
         }
-        let mut seen = VisibleSurfaces { rays, hits, particles, found, unbent: None, wet };
-        if tile.any && seen.wet.is_none() {
-            self.refract_in_bubbles(tile, &mut seen, scratch);
+        self.gather(tile, &rays, &hits, scratch);
+        let bubbles = self.in_order(scratch);
+        let mut seen = VisibleSurfaces { rays, hits, particles, found, bubbles, unbent: None, wet };
+        if seen.wet.is_none() {
+            self.refract_in_bubbles(&mut seen, scratch);
         }
         seen
     }
 
     /// Replaces surfaces by those that refraction in bubbles makes visible.
     #[inline(always)]
-    fn refract_in_bubbles(
-        &self,
-        tile: &TileRays,
-        seen: &mut VisibleSurfaces,
-        scratch: &mut Scratch,
-    ) {
+    fn refract_in_bubbles(&self, seen: &mut VisibleSurfaces, scratch: &mut Scratch) {
         let (wall, scene, origin) = (self.bare.wall, self.bare.scene, self.bare.view.origin);
         let Contents { bubbles, chyme, film, label, .. } = self.contents;
-        self.gather(tile, &seen.rays, &seen.hits, scratch);
-        let near = (bubbles, &scratch.near[..]);
+        let near = (bubbles, &seen.bubbles[..]);
         let turn = film.refract(near, wall, (origin, &seen.rays), &seen.hits.distance);
         let Some(turn) = turn else { return };
         let mut lanes = turn.are(REFRACTED);
@@ -371,19 +368,6 @@ impl<'a> LumenTiles<'a> {
         wet.is_wet.contains(&true).then_some(wet)
     }
 
-    /// Bubbles that may be visible on straight rays from the camera, the farthest first.
-    #[inline(always)]
-    fn bubbles(
-        &self,
-        tile: &TileRays,
-        rays: &Pyramid,
-        hits: &Hits,
-        scratch: &mut Scratch,
-    ) -> Vec<Near> {
-        self.gather(tile, rays, hits, scratch);
-        self.in_order(scratch)
-    }
-
     /// Collects bubbles that may be visible in front of the wall.
     #[inline(always)]
     fn gather(&self, tile: &TileRays, rays: &Pyramid, hits: &Hits, scratch: &mut Scratch) {
@@ -411,12 +395,11 @@ impl<'a> LumenTiles<'a> {
     fn transmit(
         &self,
         seen: &VisibleSurfaces,
-        bubbles: &[Near],
         pixel_angle: f32,
         scratch: &mut Scratch,
         radiance: &mut Lane3,
     ) {
-        let VisibleSurfaces { rays, wet, .. } = seen;
+        let VisibleSurfaces { rays, bubbles, wet, .. } = seen;
         let hits = seen.unbent().0;
         let (leds, film) = (&self.bare.view.leds[..], &self.contents.film);
         let spheres = &self.contents.bubbles;

@@ -249,6 +249,15 @@ pub fn fresnel(cosine: f32, ior: f32) -> f32 {
     0.5 * (across * across + along * along)
 }
 
+/// Direction beyond a smooth surface of light that a viewer sees along `view`, by Snell's law; along
+/// the surface for total reflection.
+#[inline(always)]
+pub fn refract_into(view: Vec3, normal: Vec3, ior: f32) -> Vec3 {
+    let (cosine, inverse) = (dot(view, normal), 1.0 / ior);
+    let inside = max(1.0 - (1.0 - cosine * cosine) * inverse * inverse, 0.0).sqrt();
+    sub(scale(normal, cosine * inverse - inside), scale(view, inverse))
+}
+
 /// Density of microfacet normals (Trowbridge and Reitz; Walter et al. 2007, eq. 33).
 #[inline(always)]
 pub fn ggx(cosine: f32, alpha: f32) -> f32 {
@@ -357,4 +366,20 @@ impl Clearcoat {
 #[inline(always)]
 pub fn clearcoat_fresnel(cosine: f32) -> f32 {
     0.04 + 0.96 * schlick(cosine)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn light_that_enters_obeys_snell() {
+        let normal = normalize([0.2, -0.4, 0.7]);
+        let view = normalize([0.5, 0.1, 0.6]);
+        let inside = refract_into(view, normal, 1.4);
+        let sine = |v: Vec3| dot(cross(v, normal), cross(v, normal)).sqrt();
+        assert!((dot(inside, inside) - 1.0).abs() < 1e-5 && dot(inside, normal) < 0.0);
+        assert!((sine(view) - 1.4 * sine(inside)).abs() < 1e-5);
+        assert!(dot(cross(view, normal), inside).abs() < 1e-6);
+    }
 }

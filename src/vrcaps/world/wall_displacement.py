@@ -166,10 +166,9 @@ class LumenClosure:
     def _sorted(self) -> tuple[Int[np.ndarray, " n"], list[np.ndarray]]:
         """Vertices in ascending order of arc length, and their data in that order."""
         order = np.argsort(self.model.organ.arc_length, kind="stable")
-        data = (*self._polar, self._slit, self._folds, self._openness)
+        data = (*self._polar(), self._folds(), self._openness())
         return order, [each[order] for each in data]
 
-    @cached_property
     def _folds(self) -> Float[np.ndarray, " n"]:
         """Relief of the buckled wall at each vertex: rounded folds between creases, mean 0."""
         s, theta = self.model.organ.arc_length, self.model.organ.theta
@@ -185,24 +184,21 @@ class LumenClosure:
         relief = fold_profile(field)
         return relief - relief.mean()
 
-    @cached_property
-    def _slit(self) -> Float[np.ndarray, "n 3"]:
+    def _slit(
+        self, plane: Float[np.ndarray, "n 3 2"], outward: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, "n 3"]:
         """Displacement of each vertex to the slit, relative to the slit's half length.
 
         A point at the angle φ from the slit's axis moves by (cos φ, b (cos² φ − ½)): a circle
         becomes a bent ellipse, and the center becomes a segment, in which the wall meets.
         """
-        organ, pose = self.model.organ, self.model.T_world_patient
-        _, frames, _ = interpolate(organ.centerline, organ.arc_length)
-        turn = 0.5 * organ.arc_length / _TWIST + self._rng("slit").uniform(0.0, np.pi)
-        plane = (pose[:3, :3] @ frames)[:, :, :2]
+        turn = 0.5 * self.model.organ.arc_length / _TWIST + self._rng("slit").uniform(0.0, np.pi)
         axes = np.stack([np.cos(turn), np.sin(turn)], axis=1)
         major = np.einsum("ijk,ik->ij", plane, axes)
         minor = np.einsum("ijk,ik->ij", plane, np.stack([-axes[:, 1], axes[:, 0]], axis=1))
-        cosine = np.einsum("ij,ij->i", self._polar[3], major)[:, None]
+        cosine = np.einsum("ij,ij->i", outward, major)[:, None]
         return cosine * major + _BEND * (cosine**2 - 0.5) * minor
 
-    @cached_property
     def _openness(self) -> Float[np.ndarray, " n"]:
         """Fraction of its opening at rest that each vertex keeps, 0 to 1."""
         s = self.model.organ.arc_length
@@ -217,7 +213,6 @@ class LumenClosure:
         seed = self.model.organ.metadata.get("seed", 0)
         return stream(seed if isinstance(seed, int) else 0, f"closure/{purpose}")
 
-    @cached_property
     def _curvature(self) -> Float[np.ndarray, " n"]:
         """Curvature of the centerline at each vertex [1/m]."""
         line = self.model.organ.centerline
@@ -225,17 +220,16 @@ class LumenClosure:
         curvature = np.linalg.norm(np.gradient(tangent, line.arc_length, axis=0), axis=1)
         return np.interp(self.model.organ.arc_length, line.arc_length, curvature)
 
-    @cached_property
     def _polar(self) -> tuple[np.ndarray, ...]:
         """Data of each vertex that do not depend on the pose.
 
         Arc length, center of its section, offset of the closed lumen from that center, outward
         direction, radius, mean radius of the section, and of the closed section: tone, mean
-        radius, half length of the slit and maximum height of folds.
+        radius, half length of the slit, maximum height of folds and displacement to the slit.
         """
         organ, pose = self.model.organ, self.model.T_world_patient
         at, frames, _ = interpolate(organ.centerline, organ.arc_length)
-        center = transform_points(pose, at)
+        center, plane = transform_points(pose, at), (pose[:3, :3] @ frames)[:, :, :2]
         offset = self.model.vertices_world - center
         radius = np.linalg.norm(offset, axis=1)
         outward = offset / np.maximum(radius, 1e-9)[:, None]
@@ -255,10 +249,10 @@ class LumenClosure:
         fit = np.minimum(mean / reach, 1.0)
         # The closed lumen stays within the wall at rest, and its sections do not cross in bends.
         room = mean - fit * reach
-        room = np.minimum(room, _BEND_LIMIT / np.maximum(self._curvature, 1e-6))
+        room = np.minimum(room, _BEND_LIMIT / np.maximum(self._curvature(), 1e-6))
         sway *= (room / np.hypot(room, np.linalg.norm(sway, axis=1)))[:, None]
-        course = np.einsum("ijk,ik->ij", (pose[:3, :3] @ frames)[:, :, :2], sway)
-        closed = (tone, fit * narrow, fit * slit, fit * top)
+        course = np.einsum("ijk,ik->ij", plane, sway)
+        closed = (tone, fit * narrow, fit * slit, fit * top, self._slit(plane, outward))
         return organ.arc_length, center, course, outward, radius, mean, *closed
 
 

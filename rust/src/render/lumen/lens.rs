@@ -3,6 +3,7 @@
 use super::bubble::Film;
 use super::refraction::{REFRACTED, STRAIGHT, Turn};
 use crate::lumen::spheres::{Near, Sphere, Spheres};
+use crate::render::material::refract_into;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::packet::{MISS, Pyramid};
@@ -54,24 +55,21 @@ impl Film {
         (origin, rays, enter): (Vec3, &Pyramid, f32),
     ) {
         let (index, heading) = (self.lens_index(sphere), at(&rays.directions, i));
-        let (cosine, square) = (max(1.0 - miss, 0.0).sqrt(), 1.0 - index * index * miss);
+        let square = 1.0 - index * index * miss;
         if square <= 0.0 {
             return;
         }
-        let (beyond, start) = (square.sqrt(), add(origin, scale(heading, enter)));
-        let normal = scale(sub(start, sphere.center), 1.0 / sphere.radius);
-        let bend = scale(normal, index * cosine - beyond);
-        let inside = normalize(add(scale(heading, index), bend));
-        let chord = 2.0 * beyond * sphere.radius;
+        let inward = |place: Vec3| scale(sub(sphere.center, place), 1.0 / sphere.radius);
+        let start = add(origin, scale(heading, enter));
+        let inside = refract_into(scale(heading, -1.0), scale(inward(start), -1.0), 1.0 / index);
+        let chord = 2.0 * square.sqrt() * sphere.radius;
         turn.kind[i] = REFRACTED;
         let ends = ray::cast::<true>(&wall.bvh, start, inside, chord, MISS).is_some();
         let (distance, place, heading) = if ends {
             (enter, start, inside)
         } else {
             let place = add(start, scale(inside, chord));
-            let normal = scale(sub(place, sphere.center), 1.0 / sphere.radius);
-            let bend = scale(normal, cosine - beyond / index);
-            (enter + chord, place, normalize(add(scale(inside, 1.0 / index), bend)))
+            (enter + chord, place, refract_into(scale(inside, -1.0), inward(place), index))
         };
         turn.distance[i] = distance;
         for k in 0..3 {

@@ -114,7 +114,7 @@ impl Film {
                 let (value, rise) = wave(along + sphere.phases[k]);
                 let across = dot(*way, *way) - along * along;
                 slope = add(slope, scale(*way, amplitude * rise));
-                curvature += amplitude * (16.0 * across * sign(value) + along * rise);
+                curvature += amplitude * (16.0 * across * 1.0f32.copysign(value) + along * rise);
             }
             let aside = sub(slope, scale(normal, dot(slope, normal)));
             let rippled = normalize(sub(normal, aside));
@@ -135,12 +135,6 @@ fn lobe(square: f32, inverse: f32, disc: f32) -> f32 {
     // Integral of exp(−(1 − t) q − t q²) over q, to 1 %.
     let area = 1.0 - (0.38 - 0.266 * flat) * flat;
     exp2(-LOG2_E * q * (1.0 - flat + flat * q)) / (PI * area)
-}
-
-/// −1 or 1.
-#[inline(always)]
-fn sign(x: f32) -> f32 {
-    if x < 0.0 { -1.0 } else { 1.0 }
 }
 
 /// Mirror image of an LED in a shell: unit directions of the mirroring point from the center, and

@@ -209,14 +209,6 @@ pub fn ray_offset(wall: &Wall) -> f32 {
     OFFSET * wall.extent
 }
 
-/// Direction into tissue of light that a viewer sees along `view`, by Snell's law.
-#[inline(always)]
-pub fn refract_into(view: Vec3, normal: Vec3, ior: f32) -> Vec3 {
-    let (cosine, inverse) = (dot(view, normal), 1.0 / ior);
-    let inside = max(1.0 - (1.0 - cosine * cosine) * inverse * inverse, 0.0).sqrt();
-    sub(scale(normal, cosine * inverse - inside), scale(view, inverse))
-}
-
 /// Random walk until light leaves the tissue; None if it is absorbed.
 #[inline(always)]
 pub fn random_walk(
@@ -359,17 +351,6 @@ pub fn walk_tissue<'py>(
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn light_that_enters_obeys_snell() {
-        let normal = normalize([0.2, -0.4, 0.7]);
-        let view = normalize([0.5, 0.1, 0.6]);
-        let inside = refract_into(view, normal, 1.4);
-        let sine = |v: Vec3| dot(cross(v, normal), cross(v, normal)).sqrt();
-        assert!((dot(inside, inside) - 1.0).abs() < 1e-5 && dot(inside, normal) < 0.0);
-        assert!((sine(view) - 1.4 * sine(inside)).abs() < 1e-5);
-        assert!(dot(cross(view, normal), inside).abs() < 1e-6);
-    }
 
     #[test]
     fn reflectance_of_a_border_is_the_same_from_both_sides() {

@@ -1,12 +1,12 @@
 //! Paths through the tissue behind the wall, a wavefront at a time.
 
 use crate::render::led::Led;
-use crate::render::material::{Surface, add_leaving};
+use crate::render::material::{Surface, add_leaving, refract_into};
 use crate::render::path::bsdf::{base_probability, cosine_direction};
 use crate::render::path::shadow_rays::ShadowRays;
 use crate::render::path::sobol::{dimension, point};
 use crate::render::path::subsurface::{
-    RandomStream, SubsurfaceExit, Tissue, TissueRay, random_walk, ray_offset, refract_into,
+    RandomStream, SubsurfaceExit, Tissue, TissueRay, random_walk, ray_offset,
 };
 use crate::render::path::tracer::{Path, Tracer};
 use crate::simd::f32x64::*;

@@ -2,8 +2,7 @@
 
 use super::Transport;
 use crate::render::led::Led;
-use crate::render::material::{Surface, add_leaving, fresnel};
-use crate::render::path::subsurface::refract_into;
+use crate::render::material::{Surface, add_leaving, fresnel, refract_into};
 use crate::render::radiosity::lazy_cache::FrameCache;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;

@@ -1,11 +1,11 @@
 //! Rows of light transport through tissue: entry points of the light that exits at a node.
 
 use super::GatherPoints;
+use crate::render::material::refract_into;
 use crate::render::path::bsdf::cosine_direction;
 use crate::render::path::sobol::{dimension, hash, point, unit};
 use crate::render::path::subsurface::{
-    Interface, Medium, PlaneInterface, RandomStream, SubsurfaceExit, Tissue, TissueRay,
-    random_walk, refract_into,
+    Interface, Medium, PlaneInterface, RandomStream, SubsurfaceExit, Tissue, TissueRay, random_walk,
 };
 use crate::simd::f32x64::*;
 use crate::wall::Wall;

@@ -38,7 +38,7 @@ _PLAN = (101_010_639, 125_018_573, 458_834_840)  # first patients of a plan of s
 _NAMES = {
     "colon": ((0, None), (0, "normal"), (1, None), (3, None)),
     "stomach": ((0, "inflated"), *((seed, None) for seed in (0, 1, 2, 3, 100, *_PLAN))),
-    "small-bowel": ((0, None),),
+    "small-bowel": ((0, None), (0, "collapsed")),
 }
 """Seeds and distensions of the organs of pages, notebooks and examples."""
 

@@ -43,6 +43,9 @@ class Render(_Measurement):
 class Record(_Measurement):
     """Measure the speed and memory use of recording labeled frames to disk, and the time per stage.
 
+    A colon by default and with direct light, and a small bowel closed around the capsule, take
+    turns.
+
     For example:
       vrcaps bench record
       vrcaps bench record --out runs/benchmarks.md

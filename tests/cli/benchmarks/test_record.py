@@ -8,6 +8,7 @@ import pytest
 from tests.support.coarse_organs import COARSE
 from tests.support.programs import run_program
 from vrcaps.cli.benchmarks import record
+from vrcaps.cli.benchmarks.recording_process import SUBJECTS
 from vrcaps.core.errors import InputError
 
 
@@ -23,16 +24,18 @@ def run_module(command: list[str], **_: object) -> subprocess.CompletedProcess[s
 def test_a_short_recording_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(subprocess, "run", run_module)
     report = record.measure(num_frames=2, num_runs=1)
-    *rates, memory = report.claims
-    for rate in rates:
+    *claims, memory = report.claims
+    assert len(claims) == 3
+    for rate in claims:
         assert rate.measured is not None
         assert rate.measured.median > 0.0
     if sys.platform != "win32":
         assert memory.measured is not None
         assert 0.05 < memory.measured.median < 4.0
-    *stages, whole = report.tables
+    rates, *stages, whole = report.tables
+    assert len(rates.rows) == len(SUBJECTS)
     for table in stages:
-        assert {row.name for row in table.rows} >= {"render", "PNG"}
+        assert {row.name for row in table.rows} >= {"pose", "render", "PNG"}
     assert all(value is not None and value.median > 0.0 for r in whole.rows for value in r.values)
     assert "kB a frame" in report.setting
 

@@ -50,6 +50,13 @@ QUICK_TO_DISK = Claim(
     unit="per second",
     reference="ten hours of a patient's video overnight",
 )
+COLLAPSED_TO_DISK = Claim(
+    text="labeled frames a second to disk, a collapsed small bowel around a moving capsule",
+    sense="≥",
+    limit=15.0,
+    unit="per second",
+    reference="five times the rate of a capsule in the small bowel",
+)
 MEMORY = Claim(
     text="peak memory of the recording process",
     sense="≤",

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from vrcaps.cli.benchmarks import claims
+from vrcaps.cli.benchmarks.recording_process import SUBJECTS
 from vrcaps.cli.benchmarks.report import (
     Report,
     Row,
@@ -43,52 +44,63 @@ def run(*, out: Path | None = None, quick: bool = False) -> Report:
 
 
 def measure(*, num_frames: int, num_runs: int) -> Report:
-    """Record the same scenario several times, each in a separate process and folder."""
+    """Record each subject several times in turns, each in a separate process and folder."""
+    results: dict[str, list[dict[str, Any]]] = {subject: [] for subject in SUBJECTS}
     with progress_bar("recording") as advance:
-        runs, quick_runs = [], []
         for number in range(num_runs):
-            advance(number, num_runs)
-            runs.append(_recorded(num_frames))
-            quick_runs.append(_recorded(num_frames, "quick"))
-    first, size = runs[0], np.mean([run["bytes"] for run in runs])
-    setting = (
-        f"The recording default, `vrcaps record`: {num_frames} frames of {first['camera']} in the "
-        f"generated colon of {first['num_triangles']} triangles, {first['light']}; "
-        f"{first['channels']}, preview included, {size / num_frames / 1e3:.0f} kB a frame. "
-        f"{num_runs} runs, each in a fresh process and a temporary folder; the rate is from the "
-        "first whole frame to the last. The stages below are then run one at a time over the "
-        "same frames; in the recording they overlap."
-    )
-    measured = (
-        replace(claims.TO_DISK, measured=_spread(runs, "rate")),
-        replace(claims.QUICK_TO_DISK, measured=_spread(quick_runs, "rate")),
-        replace(claims.MEMORY, measured=_spread(runs, "peak_gb"))
-        if first["peak_gb"] is not None
-        else replace(claims.MEMORY, reason="this system does not report it"),
-    )
+            for k, subject in enumerate(SUBJECTS):
+                advance(number * len(SUBJECTS) + k, num_runs * len(SUBJECTS))
+                results[subject].append(_recorded(num_frames, subject))
+    runs, quick_runs, collapsed_runs, empty_runs = results.values()
     return Report(
         title="Recording speed",
         command="vrcaps bench record",
-        setting=setting,
-        claims=measured,
+        setting=_setting(results, num_frames),
+        claims=(
+            replace(claims.TO_DISK, measured=_spread(runs, "rate")),
+            replace(claims.QUICK_TO_DISK, measured=_spread(quick_runs, "rate")),
+            replace(claims.COLLAPSED_TO_DISK, measured=_spread(collapsed_runs, "rate")),
+            replace(claims.MEMORY, measured=_spread(runs, "peak_gb"))
+            if runs[0]["peak_gb"] is not None
+            else replace(claims.MEMORY, reason="this system does not report it"),
+        ),
         tables=(
+            _rates(results),
             _stages(runs, "Time per stage of a frame"),
             _stages(quick_runs, "Time per stage with direct light and no shadows"),
+            _stages(collapsed_runs, "Time per stage in a collapsed small bowel"),
+            _stages(empty_runs, "Time per stage in a collapsed small bowel without contents"),
             _whole(runs),
         ),
         machine=machine_facts(),
     )
 
 
-def _recorded(num_frames: int, *words: str) -> dict[str, Any]:
-    """Results of a recording in a separate process; `words` are further arguments to it.
+def _setting(results: dict[str, list[dict[str, Any]]], num_frames: int) -> str:
+    """Description of the recordings."""
+    runs, _, collapsed, _ = results.values()
+    first, size = runs[0], np.mean([run["bytes"] for run in runs])
+    return (
+        f"The recording default, `vrcaps record`: {num_frames} frames of {first['camera']} in the "
+        f"generated colon of {first['num_triangles']} triangles, {first['light']}; "
+        f"{first['channels']}, preview included, {size / num_frames / 1e3:.0f} kB a frame; and "
+        f"the same in a small bowel of {collapsed[0]['num_triangles']} triangles, closed around "
+        f"the capsule, with contents by default or none. {len(runs)} runs in turns, each in a "
+        "fresh process and a temporary folder, over the whole organ; the rate is from the first "
+        "whole frame to the last. The stages below are then run one at a time over the same "
+        "frames; in the recording they overlap."
+    )
+
+
+def _recorded(num_frames: int, subject: str) -> dict[str, Any]:
+    """Results of a recording in a separate process.
 
     Raises:
         InputError: If it fails.
     """
     with scratch_folder() as folder:
         module = "vrcaps.cli.benchmarks.recording_process"
-        command = [sys.executable, "-m", module, str(folder), str(num_frames), *words]
+        command = [sys.executable, "-m", module, str(folder), str(num_frames), subject]
         answer = subprocess.run(command, capture_output=True, text=True, check=False)
     if answer.returncode:
         last = (answer.stderr.strip() or "no message").splitlines()[-1]
@@ -98,6 +110,20 @@ def _recorded(num_frames: int, *words: str) -> dict[str, Any]:
 
 def _spread(runs: list[dict[str, Any]], key: str) -> Spread:
     return Spread.of(np.array([run[key] for run in runs]))
+
+
+def _rates(results: dict[str, list[dict[str, Any]]]) -> Table:
+    notes = (
+        "colon, all by default",
+        "colon, no shadows",
+        "small bowel, contents by default",
+        "small bowel, nothing drawn by prevalence",
+    )
+    rows = (
+        Row(subject, (_spread(runs, "rate"),), note)
+        for (subject, runs), note in zip(results.items(), notes, strict=True)
+    )
+    return Table("Recorded frames", ("per second",), tuple(rows))
 
 
 def _stages(runs: list[dict[str, Any]], title: str) -> Table:

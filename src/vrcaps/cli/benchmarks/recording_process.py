@@ -1,8 +1,8 @@
 """Process measured by `vrcaps bench record`: records, then times each stage alone.
 
-    python -m vrcaps.cli.benchmarks.recording_process FOLDER FRAMES [quick]
+    python -m vrcaps.cli.benchmarks.recording_process FOLDER FRAMES SUBJECT
 
-Prints JSON: times in seconds, memory in GB.
+SUBJECT is one of `SUBJECTS`. Prints JSON: times in seconds, memory in GB.
 """
 
 from __future__ import annotations
@@ -21,26 +21,25 @@ if TYPE_CHECKING:
     from vrcaps.render.channels import Frame
     from vrcaps.scenario.scenario import Scenario
 
+SUBJECTS = ("default", "quick light", "collapsed", "collapsed, empty")
+"""Recordings of a whole organ: a colon by default and with direct light without shadows, and a
+small bowel whose wall is closed around the capsule, with contents by default and without."""
+
 _MAX_STAGE_FRAMES = 60
 
 
-def main(folder: Path, num_frames: int, *, quick_light: bool = False) -> dict[str, Any]:
+def main(folder: Path, num_frames: int, subject: str) -> dict[str, Any]:
     """Record into a folder and return measurements.
 
     Args:
         folder: An empty folder.
         num_frames: Frames to record.
-        quick_light: Whether to use direct light without shadows instead of the default.
+        subject: One of `SUBJECTS`.
     """
     started = time.perf_counter()
-    from vrcaps.motion.fly_through import FlyThrough
     from vrcaps.recording.recorder import record
-    from vrcaps.render.settings import RenderSettings
-    from vrcaps.scenario.scenario import Scenario
 
-    scenario = Scenario(frames=num_frames, motion=FlyThrough(whole=True))
-    if quick_light:
-        scenario = replace(scenario, render=RenderSettings(light="direct", shadows=False))
+    scenario = _scenario(num_frames, subject)
     done: list[tuple[int, float]] = []
 
     def progress(num_done: int, total: int) -> None:
@@ -60,6 +59,20 @@ def main(folder: Path, num_frames: int, *, quick_light: bool = False) -> dict[st
         "bytes": sum(path.stat().st_size for path in images),
         **_stages(scenario, folder),
     }
+
+
+def _scenario(num_frames: int, subject: str) -> Scenario:
+    from vrcaps.motion.fly_through import FlyThrough
+    from vrcaps.render.settings import RenderSettings
+    from vrcaps.scenario.scenario import OrganGenerated, Scenario
+
+    scenario = Scenario(frames=num_frames, motion=FlyThrough(whole=True))
+    if subject == "quick light":
+        return replace(scenario, render=RenderSettings(light="direct", shadows=False))
+    if subject in ("collapsed", "collapsed, empty"):
+        organ = OrganGenerated("small-bowel", distension="collapsed")
+        return replace(scenario, organ=organ, variation=subject == "collapsed")
+    return scenario
 
 
 def peak_memory_gb() -> float | None:
@@ -83,13 +96,16 @@ def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
     resolved = resolve(scenario)
     channels, light = resolved.channels, scenario.render
     model, motion = build(resolved)
-    states = [step.state for step in motion.steps()]
+    steps, states = motion.steps(), {}
     camera, renderer = model.device.cameras[0], Renderer(model, scenario.render)
     frames = range(min(scenario.frames, _MAX_STAGE_FRAMES))
     rendered: dict[int, Frame] = {}
     stored: dict[int, list[tuple[Path, NDArray]]] = {}
     files: dict[Path, bytes] = {}
     reused: list[Frame | None] = [None]
+
+    def move(i: int) -> None:
+        states[i] = next(steps).state
 
     def render(i: int) -> None:
         rendered[i] = renderer.render(states[i], camera, channels=channels)
@@ -112,6 +128,7 @@ def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
             write_bytes(path, files[path])
 
     stages = {
+        "pose": {**_timed(move, frames), "note": "and the wall around the capsule"},
         "render, first frame": {**_timed(render, frames[:1]), "note": "form factors of its wall"},
         "render": {**_timed(render, frames[1:]), "note": "into new arrays, as the recorder does"},
         "render, again": {**_timed(render_again, frames), "note": "the same frames, arrays reused"},
@@ -141,5 +158,5 @@ def _timed(stage: Callable[[int], None], frames: range) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    given = Path(sys.argv[1]), int(sys.argv[2])
-    sys.stdout.write(json.dumps(main(*given, quick_light="quick" in sys.argv[3:])))
+    given = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
+    sys.stdout.write(json.dumps(main(*given)))

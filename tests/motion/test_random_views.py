@@ -56,6 +56,20 @@ def test_views_are_free_and_at_rest(model):
     assert len(np.unique(trajectory.Ts_world_capsule[:, :3, 3], axis=0)) == 200
 
 
+def test_the_body_does_not_pass_through_a_fold():
+    organ = straight_tube(0.1, 10 * MM, 32, 201)
+    shelf = np.exp(-(((organ.arc_length - 0.05) / (1.5 * MM)) ** 2)) * (np.cos(organ.theta) > 0.0)
+    narrower = np.stack([1.0 - 0.9 * shelf, 1.0 - 0.9 * shelf, np.ones_like(shelf)], axis=1)
+    organ = replace(organ, vertices=organ.vertices * narrower)
+    narrow = Model(organ, read_device("pillcam-colon2"), np.eye(4))
+    settings = RandomViews(margin=0.5 * MM, nearest=4.0 * MM, farthest=20.0 * MM)
+    poses = begun(narrow, settings, frames=200).Ts_world_capsule
+    along = np.linspace(-1.0, 1.0, 33) * (narrow.device.length / 2.0 - narrow.device.radius)
+    points = poses[:, None, :3, 3] + along[:, None] * poses[:, None, :3, 2]
+    outside = np.asarray(narrow.wall.signed_distance(points.reshape(-1, 3))) < -0.5 * MM
+    assert not outside.any()
+
+
 def test_the_wall_is_seen_at_the_distance_and_angle_asked_for(model):
     trajectory = begun(model, STRAIGHT, frames=300)
     distance, faces = seen_along_the_axis(model, trajectory)

@@ -173,7 +173,8 @@ def _drawn(
     hit, _ = model.wall.cast(centers[some], -towards_camera[some])
     some = some[np.abs(hit - distance[some]) <= _HIT_SLACK]
     some = some[model.vital_clearance(poses[some]) >= margin]
-    some = some[model.clearance(poses[some]).min(axis=1) > 0.0]
+    # A body with free ends may pass through the wall in a bend.
+    some = some[model.axis_clearance(poses[some]).min(axis=1) > 0.0]
     is_seen[:] = False
     is_seen[some] = True
     return poses, is_seen

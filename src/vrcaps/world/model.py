@@ -40,6 +40,7 @@ _POSTURES = {
 MAX_CLOSED_RADIUS = 5 * MM
 _SLACK_MARGIN = 0.5 * MM
 """Distance that cameras and body axis keep from the wall at rest of a closed lumen [m]."""
+_NUM_AXIS_POINTS = 17
 
 POSTURES = tuple(_POSTURES)
 """Names of postures, for `posture_transform`."""
@@ -123,6 +124,23 @@ class Model:
     def vital_clearance(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, " n"]:
         """Minimum distance to the wall [m] of origin and cameras, which must be positive."""
         return self._distances(poses, self._vital_points).min(axis=1)
+
+    def axis_clearance(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n k"]:
+        """Signed distance to the wall [m] of the points at `axis_coordinates`, at each pose.
+
+        Args:
+            poses: Poses of the capsule in the world frame.
+        """
+        return self._distances(poses, np.outer(self.axis_coordinates, np.eye(3)[2]))
+
+    @property
+    def axis_coordinates(self) -> Float[np.ndarray, " k"]:
+        """Coordinates of evenly spaced points of the body's axis, from end to end [m].
+
+        The ends are the centers of the domes, a radius from the ends of the shell.
+        """
+        half = self.device.length / 2.0 - self.device.radius
+        return np.linspace(-half, half, _NUM_AXIS_POINTS)
 
     @property
     def _vital_points(self) -> Float[np.ndarray, "p 3"]:

@@ -275,9 +275,6 @@ def _linear(
     return np.stack([np.interp(s, knots, column) for column in values.T], axis=1)
 
 
-_LOOKS = 17
-"""Number of points of the axis at which the distance to the wall is measured."""
-
 _MIN_DISTANCE = 1e-6
 """Distance from the axis below which the direction is undefined [m]."""
 
@@ -371,15 +368,12 @@ class WallDisplacement:
 
         An end of the axis may be outside in a bend too sharp for the body.
         """
-        device = self.model.device
-        half = device.length / 2.0 - device.radius
-        along = np.linspace(-half, half, _LOOKS)
-        points = T_world_capsule[:3, 3] + along[:, None] * T_world_capsule[:3, 2]
-        free = np.asarray(self.model.wall.signed_distance(points), float)
-        middle = _LOOKS // 2
+        along = self.model.axis_coordinates
+        free = self.model.axis_clearance(T_world_capsule[None])[0]
+        middle = len(along) // 2
         outside = np.flatnonzero(free <= 0.0)
         first = max((k + 1 for k in outside if k < middle), default=0)
-        last = min((k - 1 for k in outside if k > middle), default=_LOOKS - 1)
+        last = min((k - 1 for k in outside if k > middle), default=len(along) - 1)
         least = max(float(free[first : last + 1].min()), 0.0)
         return float(along[first]), float(along[last]), least
 

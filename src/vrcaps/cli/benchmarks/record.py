@@ -86,9 +86,9 @@ def _setting(results: dict[str, list[dict[str, Any]]], num_frames: int) -> str:
         f"{first['channels']}, preview included, {size / num_frames / 1e3:.0f} kB a frame; and "
         f"the same in a small bowel of {collapsed[0]['num_triangles']} triangles, closed around "
         f"the capsule, with contents by default or none. {len(runs)} runs in turns, each in a "
-        "fresh process and a temporary folder, over the whole organ; the rate is from the first "
-        "whole frame to the last. The stages below are then run one at a time over the same "
-        "frames; in the recording they overlap."
+        "fresh process and a temporary folder: along the whole colon, and at the default speed in "
+        "the small bowel. The rate is from the first whole frame to the last. The stages below "
+        "are then run one at a time over the same frames; in the recording they overlap."
     )
 
 

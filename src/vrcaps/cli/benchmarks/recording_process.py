@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from vrcaps.scenario.scenario import Scenario
 
 SUBJECTS = ("default", "quick light", "collapsed", "collapsed, empty")
-"""Recordings of a whole organ: a colon by default and with direct light without shadows, and a
-small bowel whose wall is closed around the capsule, with contents by default and without."""
+"""Recordings along a whole colon, by default and with direct light without shadows; and at the
+default speed in a small bowel whose wall is closed around the capsule, with contents by default and
+without."""
 
 _MAX_STAGE_FRAMES = 60
 
@@ -66,12 +67,12 @@ def _scenario(num_frames: int, subject: str) -> Scenario:
     from vrcaps.render.settings import RenderSettings
     from vrcaps.scenario.scenario import OrganGenerated, Scenario
 
+    if subject in ("collapsed", "collapsed, empty"):
+        organ = OrganGenerated("small-bowel", distension="collapsed")
+        return Scenario(frames=num_frames, organ=organ, variation=subject == "collapsed")
     scenario = Scenario(frames=num_frames, motion=FlyThrough(whole=True))
     if subject == "quick light":
         return replace(scenario, render=RenderSettings(light="direct", shadows=False))
-    if subject in ("collapsed", "collapsed, empty"):
-        organ = OrganGenerated("small-bowel", distension="collapsed")
-        return replace(scenario, organ=organ, variation=subject == "collapsed")
     return scenario
 
 

@@ -258,3 +258,24 @@ def test_ripple_moves_the_images_of_the_leds_and_keeps_their_mean() -> None:
     assert np.sqrt(np.mean(np.square(moves))) == pytest.approx(ripple, rel=0.2)
     assert np.mean(gains) == pytest.approx(1.0, abs=0.12)
     assert np.std(gains) > 0.1
+
+
+@pytest.mark.parametrize("led", [(5.0, -7.0, 0.0), (20.0, -9.0, 2.0)])
+def test_only_the_gas_of_a_bubble_in_liquid_mirrors_the_leds(led: tuple[float, ...]) -> None:
+    """Images of an LED in a bubble in liquid and in a film differ as Fresnel's reflectances do."""
+    light, center, radius = np.array(led) * MM, np.array([1.0, 0.5, 9.0]) * MM, 1.0 * MM
+    scene, wet = Scene(240, led=tuple(light)), replace(FILM, meniscus=1.0, border=1e-6)
+    place = center
+    for _ in range(30):
+        place = center + radius * unit(unit(light - place) - unit(place))
+    cosine = unit(place - center) @ unit(-place)
+    wall = scene.empty()[..., 0]
+    film_image, gas_image = (
+        scene.radiance(replace(bubbles, roughness=0.02), center, radius)[..., 0] - wall
+        for bubbles in (FILM, wet)
+    )
+    peak = np.linalg.norm(scene.rays - unit(place), axis=-1).argmin()
+    assert film_image.flat[peak] > 15.0 * wall.flat[peak]
+    surface = fresnel(np.array([cosine]), FILM.ior)
+    expected = (surface / film(np.array([cosine])))[0]
+    assert gas_image.flat[peak] / film_image.flat[peak] == pytest.approx(expected, rel=0.01)

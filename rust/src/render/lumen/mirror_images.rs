@@ -8,6 +8,7 @@ use super::bubble::{Behind, Eye, Film, RIPPLES, normals, offset_of};
 use crate::lumen::clump::wave;
 use crate::lumen::spheres::Sphere;
 use crate::render::led::Led;
+use crate::render::material::fresnel;
 use crate::simd::f32x64::*;
 use std::f32::consts::{LOG2_E, PI};
 
@@ -89,8 +90,15 @@ impl Film {
         if eye.rays.closed && eye.rays.sides.iter().any(|side| dot(*side, place) < reach) {
             return None;
         }
-        let light = self.film(cosine) * led.lobe(axis) / (4.0 * cosine * square);
+        let light = self.reflects(sphere, cosine) * led.lobe(axis) / (4.0 * cosine * square);
         Some(Image { normal, light, disc })
+    }
+
+    /// Fraction of light that the shell reflects: in liquid only the surface of the gas does.
+    #[inline(always)]
+    fn reflects(&self, sphere: &Sphere, cosine: f32) -> f32 {
+        let film = self.film(cosine);
+        film + (fresnel(cosine, self.ior) - film) * self.sunk(sphere)
     }
 
     /// Unit normals of the rippled shell where the rays cross it, and the variance of the normals

@@ -9,6 +9,7 @@ use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::bvh::Triangle;
 use crate::wall::packet::{LeafVisitor, Plane, farthest_of, traverse};
+use crate::wall::sides::Sides;
 use crate::wall::visibility::SHADOW_REACH;
 use std::ops::Range;
 
@@ -51,7 +52,8 @@ pub fn visible_from_disc(
 ) -> (u64, bool) {
     let (mut ways, shaft) = prepare(wall, rays, used);
     let farthest = ways.farthest();
-    let mut search = Search { triangles: &wall.bvh.triangles, ways: &mut ways, left: most };
+    let sides = Sides::of(&shaft.0);
+    let mut search = Search { triangles: &wall.bvh.triangles, sides, ways: &mut ways, left: most };
     let is_done = traverse(&wall.bvh.nodes, &shaft, farthest, &mut search);
     let mut bits = 0;
     for i in 0..LANES {
@@ -63,6 +65,7 @@ pub fn visible_from_disc(
 /// Search for triangles that block the rays.
 struct Search<'a, 'b> {
     triangles: &'a [Triangle],
+    sides: Sides,
     ways: &'a mut Ways<'b>,
     /// Number of triangles that may still be tested.
     left: u32,
@@ -74,7 +77,9 @@ impl LeafVisitor for Search<'_, '_> {
         self.left = self.left.checked_sub(leaf.len() as u32)?;
         let mut changed = false;
         for triangle in &self.triangles[leaf] {
-            changed |= self.ways.block(triangle);
+            if !self.sides.exclude(triangle) {
+                changed |= self.ways.block(triangle);
+            }
         }
         Some(if changed { self.ways.farthest() } else { farthest })
     }

@@ -9,6 +9,7 @@ pub mod packet;
 mod partial_refit;
 pub mod query;
 pub mod ray;
+mod sides;
 pub mod visibility;
 
 use crate::pool::{detached, install, map};

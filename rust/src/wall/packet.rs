@@ -7,6 +7,7 @@
 
 use crate::simd::f32x64::*;
 use crate::wall::bvh::{Bvh, Child, Node, STACK, Triangle, WIDTH};
+use crate::wall::sides::Sides;
 use std::ops::Range;
 
 /// Maximum distance of rays [m].
@@ -128,11 +129,11 @@ impl Pyramid {
 
 /// A plane through the origin of the rays, prepared for tests against boxes.
 pub struct Plane {
-    normal: Vec3,
+    pub(super) normal: Vec3,
     /// Rows of `Node::bounds` that hold the box corner farthest along the normal.
     rows: [usize; 3],
     /// Value of the plane at the origin, minus a margin for rounding.
-    offset: f32,
+    pub(super) offset: f32,
 }
 
 impl Plane {
@@ -215,13 +216,16 @@ fn search<const ANY: bool>(
 ) -> bool {
     let planes = planes(start.0, rays, extent);
     let farthest = farthest_of(&hits.distance);
-    let mut search = Search::<ANY> { triangles: &bvh.triangles, start, rays, hits, left: most };
+    let sides = Sides::of(&planes.0);
+    let mut search =
+        Search::<ANY> { triangles: &bvh.triangles, sides, start, rays, hits, left: most };
     traverse(&bvh.nodes, &planes, farthest, &mut search)
 }
 
 /// Search for the hits of a tile's rays.
 struct Search<'a, const ANY: bool> {
     triangles: &'a [Triangle],
+    sides: Sides,
     start: (Vec3, &'a Lane),
     rays: &'a Pyramid,
     hits: &'a mut Hits,
@@ -236,6 +240,9 @@ impl<const ANY: bool> LeafVisitor for Search<'_, ANY> {
         let mut changed = false;
         for number in leaf {
             let triangle = &self.triangles[number];
+            if self.sides.exclude(triangle) {
+                continue;
+            }
             changed |= intersect::<ANY>(triangle, number as u32, self.start, self.rays, self.hits);
         }
         Some(if changed { farthest_of(&self.hits.distance) } else { farthest })

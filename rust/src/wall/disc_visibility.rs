@@ -8,7 +8,7 @@
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::bvh::Triangle;
-use crate::wall::packet::{LeafVisitor, Plane, farthest_of, traverse};
+use crate::wall::packet::{Bounds, LeafVisitor, Plane, farthest_of, traverse};
 use crate::wall::sides::Sides;
 use crate::wall::visibility::SHADOW_REACH;
 use std::ops::Range;
@@ -52,8 +52,10 @@ pub fn visible_from_disc(
 ) -> (u64, bool) {
     let (mut ways, shaft) = prepare(wall, rays, used);
     let farthest = ways.farthest();
-    let sides = Sides::of(&shaft.0);
-    let mut search = Search { triangles: &wall.bvh.triangles, sides, ways: &mut ways, left: most };
+    let (sides, margin) = (Sides::of(&shaft.0), wall.extent * 1e-6);
+    let bounds = ways.bounds(margin);
+    let triangles = &wall.bvh.triangles;
+    let mut search = Search { triangles, sides, bounds, margin, ways: &mut ways, left: most };
     let is_done = traverse(&wall.bvh.nodes, &shaft, farthest, &mut search);
     let mut bits = 0;
     for i in 0..LANES {
@@ -66,6 +68,9 @@ pub fn visible_from_disc(
 struct Search<'a, 'b> {
     triangles: &'a [Triangle],
     sides: Sides,
+    bounds: Bounds,
+    /// Margin of the bounds for rounding [m].
+    margin: f32,
     ways: &'a mut Ways<'b>,
     /// Number of triangles that may still be tested.
     left: u32,
@@ -81,7 +86,16 @@ impl LeafVisitor for Search<'_, '_> {
                 changed |= self.ways.block(triangle);
             }
         }
-        Some(if changed { self.ways.farthest() } else { farthest })
+        if !changed {
+            return Some(farthest);
+        }
+        self.bounds = self.ways.bounds(self.margin);
+        Some(self.ways.farthest())
+    }
+
+    #[inline(always)]
+    fn bounds(&self) -> Option<&Bounds> {
+        Some(&self.bounds)
     }
 }
 
@@ -195,6 +209,24 @@ impl Ways<'_> {
             forward[i] = if self.reach[i] > 0.0 { max(self.forward[i], 1e-9) } else { 0.0 };
         }
         farthest_of(&forward)
+    }
+
+    /// Bounds of the rays that are still tested.
+    #[inline(always)]
+    fn bounds(&self, margin: f32) -> Bounds {
+        let mut bounds = [0.0; 6];
+        for k in 0..3 {
+            let (mut low, mut high) = ([0.0; LANES], [0.0; LANES]);
+            for i in 0..LANES {
+                let (start, end) = (self.starts[k][i], self.starts[k][i] + self.ways[k][i]);
+                let is_tested = self.reach[i] > 0.0;
+                low[i] = if is_tested { min(start, end) } else { f32::MAX };
+                high[i] = if is_tested { max(start, end) } else { f32::MIN };
+            }
+            bounds[k] = self.center[k] + reduce(&low, f32::MAX, min) - margin;
+            bounds[k + 3] = self.center[k] + reduce(&high, f32::MIN, max) + margin;
+        }
+        bounds
     }
 
     /// Ends the rays that hit a triangle; true if there are any.

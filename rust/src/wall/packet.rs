@@ -249,6 +249,9 @@ impl<const ANY: bool> LeafVisitor for Search<'_, ANY> {
     }
 }
 
+/// Lower x, y and z of a box, then upper x, y and z [m].
+pub type Bounds = [f32; 6];
+
 /// Visitor of the leaves of a hierarchy.
 ///
 /// This is a trait because closures are not inlined into the functions that are compiled for wide
@@ -257,6 +260,12 @@ pub trait LeafVisitor {
     /// Visits a leaf, given the maximum relevant distance [m]; returns the new one, 0 to skip all
     /// other leaves. None ends the traversal.
     fn visit(&mut self, leaf: Range<usize>, farthest: f32) -> Option<f32>;
+
+    /// Box outside which no leaf is relevant, if known.
+    #[inline(always)]
+    fn bounds(&self) -> Option<&Bounds> {
+        None
+    }
 }
 
 /// Visits the leaves of a hierarchy between the sides of a pyramid, nearest first; false if the
@@ -278,7 +287,8 @@ pub fn traverse(
         }
         match Child::of(code) {
             Child::Node(number) => {
-                top = push_children(&nodes[number], sides, near, farthest, &mut stack, top);
+                let reach = (farthest, visitor.bounds());
+                top = push_children(&nodes[number], sides, near, reach, &mut stack, top);
             }
             Child::Leaf(range) => match visitor.visit(range, farthest) {
                 Some(distance) => farthest = distance,
@@ -332,7 +342,7 @@ fn push_children(
     node: &Node,
     sides: &[Plane; 4],
     near: &Plane,
-    farthest: f32,
+    (farthest, bounds): (f32, Option<&Bounds>),
     stack: &mut [(u32, f32); STACK],
     mut top: usize,
 ) -> usize {
@@ -348,6 +358,14 @@ fn push_children(
         let along = min(top_side.reach(corners[2], k), bottom.reach(corners[3], k));
         nearest[k] = near.reach(near_corners, k);
         met[k] = u8::from((min(across, along) >= 0.0) & (nearest[k] <= farthest));
+    }
+    if let Some([x0, y0, z0, x1, y1, z1]) = bounds {
+        let [low_x, low_y, low_z, high_x, high_y, high_z] = &node.bounds;
+        for k in 0..WIDTH {
+            let across = (low_x[k] <= *x1) & (high_x[k] >= *x0);
+            let along = (low_y[k] <= *y1) & (high_y[k] >= *y0);
+            met[k] &= u8::from(across & along & (low_z[k] <= *z1) & (high_z[k] >= *z0));
+        }
     }
     // One bit set in each byte whose child is intersected.
     let mut met = u64::from_le_bytes(met);

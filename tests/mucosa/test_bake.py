@@ -112,6 +112,18 @@ def displacement(seed: int, size: float, p: np.ndarray) -> np.ndarray:
     return total
 
 
+def gradient_noise(seed: int, size: float, p: np.ndarray) -> np.ndarray:
+    """Gradient noise of zero mean and standard deviation 0.76."""
+    cell = np.floor(p / size).astype(int)
+    t = p / size - cell
+    fade = t**3 * (t * (t * 6.0 - 15.0) + 10.0)
+    total = np.zeros(len(p))
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.where(np.array(corner) == 1, fade, 1.0 - fade).prod(axis=-1)
+        total += weight * (triple(seed, cell + np.array(corner)) * (t - corner)).sum(axis=-1)
+    return 3.98 * total
+
+
 def cell_border(seed: int, size: float, p: np.ndarray) -> np.ndarray:
     """Distance to the second nearest point of a jittered lattice less that to the nearest."""
     cell = np.floor(p / size).astype(int)
@@ -292,8 +304,12 @@ def test_relief_has_the_slope_it_is_given(tube):
     assert slope == pytest.approx(0.1 * np.hypot(np.hypot(0.7, 1.0), 1.0), rel=0.25)
 
 
-def test_villi_agree_with_their_readable_twin():
-    """Height = depth · S((d₂ − d₁) / 0.38) with d to the cells' points, at the wound place."""
+@pytest.mark.parametrize("breaks", [0.0, 0.6])
+def test_villi_agree_with_their_readable_twin(breaks):
+    """Height = depth · S((d₂ − d₁) / 0.38) with d to the cells' points, at the wound place.
+
+    Breaks lengthen the cells in one direction, and scale differences from the mean by noise.
+    """
     side, seed, spacing, slope = 6.0 * MM, 9, 0.5 * MM, 0.2
     mucosa = Mucosa(
         base_color=(0.5,) * 3,
@@ -303,6 +319,7 @@ def test_villi_agree_with_their_readable_twin():
         mucus=0.0,
         pit_spacing=spacing,
         pit_slope=slope,
+        pit_breaks=breaks,
     )
     height = bake_appearance(make_square(side), seed=seed, mucosa=mucosa, texels_per_mm=16.0).height
     rows, columns = height.shape
@@ -315,8 +332,13 @@ def test_villi_agree_with_their_readable_twin():
     wind += 0.2 * displacement(31 * seed + 8, 1.1, point)
     turn = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
     place = (point + wind * [1.0, 1.0, 0.0]) @ turn.T
-    t = np.clip(cell_border(seed ^ 0x70697473, spacing / MM, place) / 0.38, 0.0, 1.0)
-    expected = slope * spacing / 3.5 * t * t * (3.0 - 2.0 * t)
+    leaf, ridge = 1.0 + 1.2 * breaks, np.array([0.48, 0.64, 0.6])
+    along = (place @ ridge)[:, None] * ridge
+    cells = leaf**0.5 * (place - along) + leaf**-0.5 * along
+    t = np.clip(cell_border(seed ^ 0x70697473, spacing / MM, cells) / 0.38, 0.0, 1.0)
+    noise = gradient_noise(31 * seed + 22, 1.3 * spacing / MM, place)
+    depth = np.clip(1.0 + breaks / 0.76 * noise, 0.0, 2.0)
+    expected = slope * spacing / 3.5 * (0.62 + depth * (t * t * (3.0 - 2.0 * t) - 0.62))
     np.testing.assert_allclose(
         height[pixels[:, 0], pixels[:, 1]], expected, rtol=0.0, atol=1e-3 * slope * spacing
     )

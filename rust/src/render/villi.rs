@@ -8,7 +8,7 @@
 //! radiance changes; depth and labels are those of the wall.
 
 use crate::mucosa::noise::{Cells, DEVIATION, Lattice, Vec3, exp, smoothstep};
-use crate::mucosa::tissue::{PLATEAU, plateau};
+use crate::mucosa::tissue::{BREAK, LEAF, PLATEAU, broken, leaf_space, plateau};
 use crate::pool::on_pool;
 use crate::simd::f32x64::{LANES, clamp, dot, max, min, sub};
 use numpy::ndarray::{ArrayView2, ArrayViewMut3, Axis};
@@ -24,14 +24,13 @@ const WIDEST: f32 = 0.11;
 const INWARD: f32 = 1.5;
 /// Seeds of the cells, and of the variation of the lengths and of the gaps.
 const SEEDS: [u32; 3] = [0x7669_6c6c, 0x7669_6c68, 0x7669_6c67];
-/// Pixels between villi below which gaps are invisible, and from which they are drawn fully.
-const RESOLVED: [f32; 2] = [2.0, 3.5];
+/// Pixels across villi below which gaps are invisible, and from which they are drawn fully.
+const RESOLVED: [f32; 2] = [1.5, 2.6];
 /// Ratio of the sides of a pixel on the wall at rest up to which gaps are invisible, and from which
 /// they are drawn fully: where a wall is gathered or pulled, gaps would be streaks.
 const ROUND: [f32; 2] = [0.25, 0.5];
-/// Distance over which gaps vary [villi], and the relative standard deviation.
-const PATCH: f32 = 8.0;
-const UNEVEN: f32 = 0.5 / DEVIATION;
+/// Relative standard deviation of the depth of gaps.
+const UNEVEN: f32 = 1.0;
 /// Optical density of a gap in red, green and blue relative to green.
 const GAP_COLOR: [f32; 3] = [0.7, 1.0, 1.1];
 /// Relative length in the gaps between villi, and difference of the distances to the nearest two
@@ -84,7 +83,7 @@ struct Outline {
 /// Draws villi into planes [3 h w], in place.
 ///
 /// `by_label` [2 256] are the lengths of villi [m] and the densities of the gaps between them;
-/// `wall` are vertices [n 3] and faces [m 3] at rest; `spacing` is the distance between villi [m],
+/// `wall` are vertices [n 3] and faces [m 3] at rest; `spacing` is the root of the area per villus [m],
 /// `focal` the number of pixels per radian.
 ///
 /// # Errors
@@ -194,9 +193,9 @@ impl<'a> Seen<'a> {
 
     /// Darkens the gaps between villi that are seen from above.
     fn shade(&self, places: &[Vec3], planes: &mut ArrayViewMut3<'_, f32>, spacing: f32) {
-        let columns = self.size.1;
-        let (cells, patches) =
-            (Cells::new(SEEDS[0], spacing), Lattice::new(SEEDS[2], PATCH * spacing));
+        let (columns, width) = (self.size.1, spacing / LEAF.sqrt());
+        let (cells, breaks) =
+            (Cells::new(SEEDS[0], spacing), Lattice::new(SEEDS[2], BREAK * spacing));
         let mut lines: Vec<_> = planes.axis_iter_mut(Axis(1)).collect();
         lines.par_iter_mut().enumerate().for_each(|(y, line)| {
             for start in (0..columns).step_by(LANES) {
@@ -204,7 +203,7 @@ impl<'a> Seen<'a> {
                 let (mut lanes, mut weights, mut any) = ([[0.0; LANES]; 3], [0.0; LANES], false);
                 for i in 0..count {
                     let pixel = y * columns + start + i;
-                    weights[i] = self.gaps[pixel] * self.resolved(places, pixel, spacing);
+                    weights[i] = self.gaps[pixel] * self.resolved(places, pixel, width);
                     if weights[i] > 0.0 {
                         any = true;
                         for k in 0..3 {
@@ -215,10 +214,10 @@ impl<'a> Seen<'a> {
                 if !any {
                     continue;
                 }
-                let borders = cells.borders(&lanes);
-                let uneven = patches.gradients(&lanes);
+                let borders = cells.borders(&leaf_space(&lanes, LEAF));
+                let noise = breaks.gradients(&lanes);
                 for i in 0..count {
-                    let amount = weights[i] * clamp(1.0 + UNEVEN * uneven[i], 0.0, 2.0);
+                    let amount = weights[i] * broken(noise[i], UNEVEN);
                     let density = amount * (PLATEAU - plateau(borders[i]));
                     for k in 0..3 {
                         line[[k, start + i]] *= exp(-GAP_COLOR[k] * density);
@@ -228,8 +227,8 @@ impl<'a> Seen<'a> {
         });
     }
 
-    /// Weight of the gaps at a pixel: 1 if pixels resolve them, 0 if they do not.
-    fn resolved(&self, places: &[Vec3], pixel: usize, spacing: f32) -> f32 {
+    /// Weight of gaps between villi of a width at a pixel: 1 if pixels resolve them, 0 if they do not.
+    fn resolved(&self, places: &[Vec3], pixel: usize, width: f32) -> f32 {
         let step =
             |next: usize| places.get(next).map_or([f32::NAN; 3], |&next| sub(next, places[pixel]));
         let (right, down) = (step(pixel + 1), step(pixel + self.size.1));
@@ -239,7 +238,7 @@ impl<'a> Seen<'a> {
         if (across + along).is_nan() || widest == 0.0 {
             return 0.0;
         }
-        let pixels = spacing / widest.sqrt();
+        let pixels = width / widest.sqrt();
         smoothstep(RESOLVED[0], RESOLVED[1], pixels) * smoothstep(ROUND[0], ROUND[1], area / widest)
     }
 
@@ -255,7 +254,7 @@ impl<'a> Seen<'a> {
                     lanes[k][i] = places[pixel][k];
                 }
             }
-            let borders = cells.borders(&lanes);
+            let borders = cells.borders(&leaf_space(&lanes, LEAF));
             for (i, &pixel) in pixels.iter().enumerate() {
                 let place = places[pixel];
                 let middle = min(borders[i] / SHOULDER, 1.0).sqrt();

@@ -48,6 +48,8 @@ class Mucosa:
         pit_spacing: Distance between villi, gastric areae or groups of crypts [m].
         pit_slope: RMS slope of the gaps between them.
         pit_shade: Optical density of those gaps in green light; bile also collects there.
+        pit_breaks: Relative standard deviation of their depth between adjacent villi, 0 (a closed
+            network of gaps around round villi) to 1 (short dashes); the mean is nearly preserved.
         pit_variation: Standard deviation of the logarithm of their depth and density over the wall,
             as villi are more or less swollen and covered by mucus; the mean is nearly preserved.
         network: Weight of the finest network of vessels in the redness.
@@ -72,6 +74,7 @@ class Mucosa:
     pit_spacing: float = 0.6 * MM
     pit_slope: float = 0.03
     pit_shade: float = 0.05
+    pit_breaks: float = 0.0
     pit_variation: float = 0.0
     network: float = 1.1
     flecks: float = 0.03
@@ -115,15 +118,16 @@ MUCOSAE: dict[str, Mucosa] = {
         bile=0.36,
         vessel_contrast=0.2,
         pit_spacing=0.42 * MM,
-        pit_slope=0.55,
-        pit_shade=0.28,
+        pit_slope=0.2,
+        pit_shade=0.2,
+        pit_breaks=1.0,
         pit_variation=0.75,
         network=0.4,
         flecks=0.03,
         mucus=0.0,
         mucus_tint=(1.10, 1.5, 1.5),
-        roughness=0.85,
-        clearcoat=0.35,
+        roughness=1.0,
+        clearcoat=0.08,
     ),
 }
 """Mucosae by organ."""
@@ -201,6 +205,7 @@ class MucosaSettings(FileRef):
         pit_spacing: Distance between villi, gastric areae or groups of crypts [m].
         pit_slope: RMS slope of the gaps between them.
         pit_shade: Optical density of those gaps in green light.
+        pit_breaks: Relative standard deviation of their depth between adjacent villi.
         pit_variation: Standard deviation of the logarithm of their depth over the wall.
         network: Weight of the finest network of vessels in the redness.
         flecks: Fraction of cells, 3.2 mm wide, with a fleck of mucus.
@@ -220,6 +225,7 @@ class MucosaSettings(FileRef):
     pit_spacing: _Length = None
     pit_slope: _Fraction = None
     pit_shade: _Amount = None
+    pit_breaks: _Fraction = None
     pit_variation: _Amount = None
     network: _Amount = None
     flecks: _Fraction = None

@@ -78,9 +78,9 @@ def _aspect(organ: OrganSurface) -> Float[np.ndarray, " m"]:
 
 
 VILLUS_SPACING = 0.22 * MM
-"""Distance between villi: that of 20 per mm², the lower end of the range in adults, 20 to 40."""
+"""Root of the area per villus: 20 per mm², the lower end of the range in adults, 20 to 40."""
 
-GAP_DENSITY = 0.7
+GAP_DENSITY = 0.55
 """Optical density in green of the gaps between villi relative to their tips; chosen so that the
 texture of recorded frames approaches that of real frames (`vrcaps compare-looks`)."""
 

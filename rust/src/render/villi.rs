@@ -83,8 +83,8 @@ struct Outline {
 /// Draws villi into planes [3 h w], in place.
 ///
 /// `by_label` [2 256] are the lengths of villi [m] and the densities of the gaps between them;
-/// `wall` are vertices [n 3] and faces [m 3] at rest; `spacing` is the root of the area per villus [m],
-/// `focal` the number of pixels per radian.
+/// `wall` are vertices [n 3] and faces [m 3] at rest; `spacing` is the root of the area per villus
+/// [m], `focal` the number of pixels per radian.
 ///
 /// # Errors
 /// If arrays differ in size, or a face or vertex does not exist.

@@ -80,7 +80,7 @@ def _aspect(organ: OrganSurface) -> Float[np.ndarray, " m"]:
 VILLUS_SPACING = 0.22 * MM
 """Root of the area per villus: 20 per mm², the lower end of the range in adults, 20 to 40."""
 
-GAP_DENSITY = 0.55
+GAP_DENSITY = 0.8
 """Optical density in green of the gaps between villi relative to their tips; chosen so that the
 texture of recorded frames approaches that of real frames (`vrcaps compare-looks`)."""
 

@@ -126,19 +126,12 @@ class Model:
         return self._distances(poses, self._vital_points).min(axis=1)
 
     def axis_clearance(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n k"]:
-        """Signed distance to the wall [m] of the points at `axis_coordinates`, at each pose.
-
-        Args:
-            poses: Poses of the capsule in the world frame.
-        """
+        """Distance to the wall [m] at `axis_coordinates`, for poses ``Ts_world_capsule``."""
         return self._distances(poses, np.outer(self.axis_coordinates, np.eye(3)[2]))
 
     @property
     def axis_coordinates(self) -> Float[np.ndarray, " k"]:
-        """Coordinates of evenly spaced points of the body's axis, from end to end [m].
-
-        The ends are the centers of the domes, a radius from the ends of the shell.
-        """
+        """Evenly spaced points of the body's axis, from one dome's center to the other's [m]."""
         half = self.device.length / 2.0 - self.device.radius
         return np.linspace(-half, half, _NUM_AXIS_POINTS)
 

@@ -11,13 +11,22 @@ from tests.support.tubes import tube_about
 from vrcaps.capsule.device_file import read_device
 from vrcaps.cli.benchmarks.stage import resized_camera
 from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import (
+    invert,
+    rotation_from_vector,
+    transform_from,
+    transform_points,
+)
 from vrcaps.core.units import MM
 from vrcaps.mesh.self_intersection import self_intersections
+from vrcaps.motion.dynamics import Dynamics
+from vrcaps.motion.rollout import Rollout
 from vrcaps.organ.surface import CLOSED_RADIUS, POCKETS
 from vrcaps.render.renderer import DEFAULT_CHANNELS as CHANNELS
 from vrcaps.render.renderer import Renderer
-from vrcaps.world.model import Model, State
-from vrcaps.world.wall_displacement import LumenClosure, WallDisplacement, closure_of
+from vrcaps.world.lumen_closure import LumenClosure, along_slit, closure_of
+from vrcaps.world.model import Model, State, posture_transform
+from vrcaps.world.wall_displacement import ShownWall, WallDisplacement
 
 RADIUS, LENGTH, CLOSED = 8 * MM, 200 * MM, 2 * MM
 
@@ -144,7 +153,8 @@ def test_the_slit_is_a_segment(turn):
     model = straight()
     closure = LumenClosure(model, CLOSED)
     is_near = np.abs(model.organ.arc_length - 130 * MM - turn * 10 * MM) < 0.4 * MM
-    along = closure._polar()[-1][is_near]
+    order, course, wall = closure._sorted
+    along = along_slit(course, wall.outward)[np.argsort(order)][is_near]
     spread = np.linalg.svd(along[:, :2] - along[:, :2].mean(axis=0))[1]
     assert np.ptp(np.linalg.norm(along[:, :2], axis=1)) > 0.8
     assert 0.05 < spread[1] / spread[0] < 0.2
@@ -211,3 +221,57 @@ def test_frames_are_those_of_a_wall_that_moves_as_a_whole(model):
         digests.append(frames)
     assert digests[0] == digests[1]
     assert all(len({frame["depth"] for frame in frames}) == 3 for frames in digests)
+
+
+def test_the_wall_of_a_simulation_closes_as_that_of_a_fly_through(model):
+    pose = model.place(100 * MM).T_world_capsule
+    state = State(0.0, pose, vertices_world=model.vertices_world)
+    shown = ShownWall(model).vertices_world(state, model.T_world_patient, 1.0)
+    np.testing.assert_allclose(shown, closed_wall(model, pose), atol=1e-6)
+    assert (
+        ShownWall(model).vertices_world(replace(state, vertices_world=None), np.eye(4), 1.0) is None
+    )
+
+
+def test_the_closure_turns_with_the_patient(model):
+    pose = model.place(100 * MM, angle=0.2).T_world_capsule
+    turned = transform_from(rotation_from_vector(np.array([0.3, -1.1, 0.4])), np.array([1, 2, 3]))
+    state = State(0.0, pose, vertices_world=model.vertices_world)
+    moved = State(0.0, turned @ pose, vertices_world=transform_points(turned, model.vertices_world))
+    wall = ShownWall(model)
+    expected = transform_points(turned, wall.vertices_world(state, model.T_world_patient, 1.0))
+    actual = wall.vertices_world(moved, turned @ model.T_world_patient, 1.0)
+    np.testing.assert_allclose(actual, expected, atol=1e-9)
+
+
+def test_a_contracted_wall_does_not_open_by_closing(model):
+    """A section that the muscle has made narrower than the closed lumen stays as narrow."""
+    pose = model.place(100 * MM).T_world_capsule
+    contracted = model.vertices_world.copy()
+    near = np.abs(model.organ.arc_length - 125 * MM) < 5 * MM
+    contracted[near, :2] *= 0.1
+    state = State(0.0, pose, vertices_world=contracted)
+    shown = ShownWall(model).vertices_world(state, model.T_world_patient, 1.0)
+    assert radius_at(model, shown, 125 * MM).max() < 0.35 * RADIUS
+    assert radius_at(model, shown, 110 * MM).mean() > 1.5 * MM
+
+
+@pytest.mark.parametrize(("insufflation", "is_open"), [(0.9, False), (1.0, False), (1.1, True)])
+def test_gas_opens_a_slack_lumen(model, insufflation, is_open):
+    state = State(0.0, model.place(100 * MM).T_world_capsule, vertices_world=model.vertices_world)
+    shown = ShownWall(model).vertices_world(state, model.T_world_patient, insufflation)
+    assert (np.abs(shown - model.vertices_world).max() < 1e-9) == is_open
+
+
+def test_a_simulation_shows_the_closed_lumen():
+    """In a run of the world the lumen is closed ahead and keeps the shell inside."""
+    model = replace(straight(), T_world_patient=posture_transform("supine"))
+    settings = Dynamics(start=0.5, settle=0.1, substep=1e-3)
+    state = next(Rollout(model, settings, frames=1, fps=5.0, seed=0).steps()).state
+    vertices = transform_points(invert(model.T_world_patient), state.vertices_world)
+    at = invert(model.T_world_patient) @ state.T_world_capsule
+    assert radius_at(model, vertices, at[2, 3] + 30 * MM).mean() < 0.5 * RADIUS
+    half = 0.5 * model.device.length - model.device.radius
+    local = transform_points(invert(at), vertices)
+    local[:, 2] -= np.clip(local[:, 2], -half, half)
+    assert np.linalg.norm(local, axis=1).min() >= 0.999 * model.device.radius

@@ -15,7 +15,6 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.fields import path_of
 from vrcaps.core.geometry import (
     invert,
-    rotate_vectors,
     transform_from,
     transform_points,
 )
@@ -37,6 +36,7 @@ from vrcaps.world.schedule import (
     wrench_at,
 )
 from vrcaps.world.snapshot import snapshot_arrays, snapshot_from_arrays
+from vrcaps.world.wall_displacement import ShownWall
 from vrcaps.world.world import World
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ class Rollout:
         file = settings.wrench_file
         self._wrenches = settings.wrenches if file is None else read_wrenches(path_of(file))
         self._line = model.organ.centerline
-        self._offset = None if shown is None else _offset(model.organ, shown)
+        self._shown_wall = ShownWall(model, shown)
         pose, arc_length, self.notes = start_pose(model, settings.start, settings.angle)
         self._arc_length = arc_length
         self.program = self.coils = None
@@ -306,11 +306,11 @@ class Rollout:
         return self.program.control(self.world, start, end - start, self._patient(end))
 
     def _shown(self, state: State, time: float, command: Command) -> State:
-        """State of a frame at exactly its time, with the wall of `shown`."""
-        vertices = state.vertices_world
-        if vertices is not None and self._offset is not None:
-            vertices = vertices + rotate_vectors(command.T_world_patient, self._offset)
-        return replace(state, time=time, vertices_world=vertices)
+        """State of a frame at exactly its time, with the wall that images show."""
+        moved = self._shown_wall.vertices_world(
+            state, command.T_world_patient, command.insufflation
+        )
+        return replace(state, time=time, vertices_world=moved)
 
     def _wrench(self, time: float) -> Float[np.ndarray, "2 3"]:
         """Commanded force [N] and torque [N·m] in the world at a time."""
@@ -376,20 +376,6 @@ class Rollout:
                 "settle is 0 s, but the gut needs time to reach its first insufflation. Allowed: "
                 "above 0 s, or a first factor of 1."
             )
-
-
-def _offset(organ: OrganSurface, shown: OrganSurface) -> Float[np.ndarray, "n 3"]:
-    """Displacement from each vertex of an organ to that of one with the same triangles [m].
-
-    Raises:
-        InputError: If the triangles differ.
-    """
-    if not np.array_equal(organ.faces, shown.faces):
-        raise InputError(
-            f"{organ.name} and its clean twin have different triangles, so the one's moving wall "
-            "cannot be transferred to the other. Record the twin with another motion."
-        )
-    return shown.vertices - organ.vertices
 
 
 def _silent(time: float, duration: float) -> None:

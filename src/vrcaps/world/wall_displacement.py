@@ -1,279 +1,22 @@
-"""Displacement of a wall around the capsule: it gives way to the shell, and a slack lumen closes.
-
-The fasting small bowel has no gas: its walls touch, and the lumen is open only where the capsule
-holds it open. Opening it takes almost no pressure, so that the mechanics use the organ as it lies
-around the capsule, and the closure is a displacement of the wall in images, labels and flow.
-"""
+"""Displacement of a wall around the capsule: it yields to the shell, and a slack lumen closes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.errors import require
-from vrcaps.core.geometry import fold_profile, invert, smoothstep, transform_points
-from vrcaps.core.rng import stream
-from vrcaps.core.units import MM
-from vrcaps.organ.surface import POCKETS, interpolate
-from vrcaps.world.model import Model
+from vrcaps.core.errors import InputError
+from vrcaps.core.geometry import invert, rotate_vectors, smoothstep, transform_points
+from vrcaps.world.lumen_closure import LumenClosure, closure_of
+from vrcaps.world.model import Model, State
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_LEAST = 0.4 * MM
-"""Minimum radius of a closed lumen [m]: the film of fluid between folds in contact."""
-_SOFT = 2.2 * MM
-"""Radius below which folds that meet are compressed [m]."""
-_REACH = 45 * MM
-"""Distance from the capsule, along the gut, within which the lumen is closed [m]."""
-_FADE = 25 * MM
-"""Distance over which it opens beyond; a closed lumen hides that part."""
-_RECENTER = 9 * MM
-"""Distance over which the lumen returns from the capsule's axis to its own course [m]."""
-_SWAY, _PITCHES = 8.0 * MM, (13 * MM, 18 * MM)
-"""Amplitude and wavelengths / 2π of the course of the closed lumen about the centerline [m]."""
-_BEND_LIMIT = 0.25
-"""Maximum distance of that course from the centerline, relative to its radius of curvature."""
-_TONE_PITCHES = (26 * MM, 41 * MM)
-"""Wavelengths / 2π of the tone, which shortens the funnel and narrows the lumen [m]."""
-_SLIT, _BEND = 4.0 * MM, 0.2
-"""Half length of the slit in which the closed wall meets [m], and its relative sagitta."""
-_TWIST = 20 * MM
-"""Arc length in which the slit turns by half a radian [m]."""
-_FOLD_WAVES = 32
-"""Number of waves of each of the two parts of the field whose zeros are the creases."""
-_FOLD_PITCHES, _MAX_LOBES = (1.4 * MM, 2.8 * MM), (2, 4)
-"""Wavelengths / 2π of these waves along the gut [m], and maximum numbers of waves around it."""
-_SMOOTHED = 0.7
-"""Fraction by which the relief at rest is reduced in a closed section."""
-_FOLD_SHARE, _FOLD_HEIGHT = 0.4, 2.6 * MM
-"""Height of the folds relative to √(R² − r²), and its maximum [m]."""
-_CREASE_DEPTH = 0.6
-"""Depth of creases below the mean wall, relative to the height of the folds."""
-_POCKET_PITCHES = (17 * MM, 27 * MM, 41 * MM)
-"""Wavelengths / 2π of the field whose crests are pockets of gas, a few centimeters long [m]."""
-_POCKET_EDGE = 0.9
-"""Standard deviations of that field over which a pocket opens."""
-_FUNNEL = 13 * MM
-"""Mean distance over which the lumen closes beyond the cylinder of the capsule [m]."""
-_ONSET = 7 * MM
-"""Distance beyond the cylinder of the capsule, which stretches the wall, at which it is folded."""
-_PLAY = 1.12
-"""Mean radius of the lumen around the capsule, between folds, relative to the capsule's."""
-_SECTION = 4 * MM
-"""Length over which the radius is averaged [m]."""
-_NUM_SAMPLES = 17
-
-
-@dataclass(frozen=True)
-class LumenClosure:
-    """Displacement that closes the lumen before and behind the capsule.
-
-    Every cross-section contracts: towards the axis of the capsule where it lies, and towards a slit
-    on a course close to the centerline elsewhere. A point at a distance r from the centerline moves
-    to the smooth maximum of r − d and a minimum radius, which increases with r; d is the difference
-    between the section's mean radius and the desired one: that of the capsule around it, about
-    `radius` beyond a funnel before and behind it, both by the local tone. Folds therefore keep
-    their height until they meet and stay in order, and sections do not cross. Points then move
-    along the slit, by a one-to-one map: (r, φ) to ((r + L) cos φ, r sin φ), for a slit of
-    half length L, and a slight bend.
-
-    The circular muscle shortens the wall, and the mucosa, which does not, buckles into folds. Their
-    height is proportional to √(R² − r²) for a section that closes from a radius R to r, as for
-    sinusoidal pleats that preserve the perimeter, r² + n² A² / 2 = R². They replace most of the
-    relief at rest, which would become radial pleats. In pockets of gas or fluid the wall stays at
-    rest, in part or in full. Lengths, shares and sizes are estimates from capsule frames.
-
-    Attributes:
-        model: Model whose wall is displaced.
-        radius: Median radius of the closed lumen between its folds [m].
-        pockets: Fraction of the gut's length with pockets of gas or fluid, below 1.
-    """
-
-    model: Model
-    radius: float
-    pockets: float = 0.0
-
-    def close(
-        self, T_world_capsule: Float[np.ndarray, "4 4"], half_length: float, shell_radius: float
-    ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"]]:
-        """Displaced vertices around a capsule.
-
-        Args:
-            T_world_capsule: Pose of the capsule.
-            half_length: Half length of the capsule [m].
-            shell_radius: Radius of the capsule [m].
-
-        Returns:
-            Indices of the moved vertices and their positions in the world frame [m].
-        """
-        s_axis, offset_axis = self._axis(T_world_capsule, half_length)
-        order, sorted_data = self._sorted
-        span = _REACH + _FADE
-        first, last = np.searchsorted(sorted_data[0], [s_axis[0] - span, s_axis[-1] + span])
-        moved, of_vertex = order[first:last], (each[first:last] for each in sorted_data)
-        s, center, course, outward, radius, mean, tone, narrow, slit, top, *more = of_vertex
-        slit_axes, folds, openness = more
-        beyond = np.maximum(np.maximum(s_axis[0] - s, s - s_axis[-1]), 0.0)
-        weight = smoothstep((span - beyond) / _FADE) * (1.0 - openness)
-        own = np.exp(-((beyond / _RECENTER) ** 2))
-        offset = own[:, None] * _linear(s, s_axis, offset_axis)
-        offset += (1.0 - own)[:, None] * course
-        cylinder = 1.0 - shell_radius / half_length
-        low, high = np.interp([-cylinder, cylinder], np.linspace(-1, 1, _NUM_SAMPLES), s_axis)
-        funnel = _FUNNEL * np.exp(-0.8 * tone)
-        away = np.maximum(np.maximum(low - s, s - high), 0.0)
-        far = smoothstep(away / funnel)
-        wanted = (1.0 - far) * _PLAY * shell_radius + far * narrow
-        slit = far * slit
-        offset += slit[:, None] * slit_axes
-        height = np.sqrt(np.maximum(mean**2 - wanted**2, 0.0)) * _FOLD_SHARE
-        height = np.minimum(height, top) * smoothstep(away / _ONSET)
-        relief = (1.0 - _SMOOTHED * far) * (radius - mean)
-        free = np.minimum(mean, wanted) + relief - height * folds - 0.5 * slit - _LEAST
-        closed = _LEAST + 0.5 * (free + np.hypot(free, _SOFT))
-        closed = radius + weight * (np.minimum(closed, radius) - radius)
-        return moved, center + weight[:, None] * offset + closed[:, None] * outward
-
-    def _axis(
-        self, T_world_capsule: Float[np.ndarray, "4 4"], half_length: float
-    ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k 3"]]:
-        """Arc length of points of the body's axis, increasing, and their offset from the course."""
-        along = np.linspace(-half_length, half_length, _NUM_SAMPLES)
-        points = T_world_capsule[:3, 3] + along[:, None] * T_world_capsule[:3, 2]
-        line, course = self.model.organ.centerline, self._centerline_world
-        middle = np.linalg.norm(course - T_world_capsule[:3, 3], axis=1).argmin()
-        near = np.abs(line.arc_length - line.arc_length[middle]) < 3.0 * half_length
-        index = np.linalg.norm(points[:, None] - course[near], axis=2).argmin(axis=1)
-        s, nearest = line.arc_length[near][index], course[near][index]
-        tangent = (self.model.T_world_patient[:3, :3] @ line.frames[near][index])[:, :, 2]
-        offset = points - nearest
-        ahead = np.einsum("ij,ij->i", offset, tangent)
-        offset -= ahead[:, None] * tangent
-        order = np.argsort(s + ahead, kind="stable")
-        return np.maximum.accumulate((s + ahead)[order]), offset[order]
-
-    @cached_property
-    def _centerline_world(self) -> Float[np.ndarray, "m 3"]:
-        """Points of the centerline [m]."""
-        return transform_points(self.model.T_world_patient, self.model.organ.centerline.points)
-
-    @cached_property
-    def _sorted(self) -> tuple[Int[np.ndarray, " n"], list[np.ndarray]]:
-        """Vertices in ascending order of arc length, and their data in that order."""
-        order = np.argsort(self.model.organ.arc_length, kind="stable")
-        data = (*self._polar(), self._folds(), self._openness())
-        return order, [each[order] for each in data]
-
-    def _folds(self) -> Float[np.ndarray, " n"]:
-        """Relief of the buckled wall at each vertex: rounded folds between creases, mean 0."""
-        s, theta = self.model.organ.arc_length, self.model.organ.theta
-        rng, field = self._rng("folds"), np.zeros(len(s))
-        low, high = np.log(_FOLD_PITCHES)
-        for lobes, least in zip(_MAX_LOBES, (0, 2), strict=True):
-            lobe = rng.integers(least, lobes + 1, _FOLD_WAVES) * rng.choice([-1, 1], _FOLD_WAVES)
-            turns = np.exp(-rng.uniform(low, high, _FOLD_WAVES))
-            phase = rng.uniform(0.0, 2.0 * np.pi, _FOLD_WAVES)
-            for n, k, p in zip(lobe, turns, phase, strict=True):
-                field += np.sin(k * s + n * theta + p)
-        field /= _FOLD_WAVES**0.5
-        relief = fold_profile(field)
-        return relief - relief.mean()
-
-    def _slit(
-        self, plane: Float[np.ndarray, "n 3 2"], outward: Float[np.ndarray, "n 3"]
-    ) -> Float[np.ndarray, "n 3"]:
-        """Displacement of each vertex to the slit, relative to the slit's half length.
-
-        A point at the angle φ from the slit's axis moves by (cos φ, b (cos² φ − ½)): a circle
-        becomes a bent ellipse, and the center becomes a segment, in which the wall meets.
-        """
-        turn = 0.5 * self.model.organ.arc_length / _TWIST + self._rng("slit").uniform(0.0, np.pi)
-        axes = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-        major = np.einsum("ijk,ik->ij", plane, axes)
-        minor = np.einsum("ijk,ik->ij", plane, np.stack([-axes[:, 1], axes[:, 0]], axis=1))
-        cosine = np.einsum("ij,ij->i", outward, major)[:, None]
-        return cosine * major + _BEND * (cosine**2 - 0.5) * minor
-
-    def _openness(self) -> Float[np.ndarray, " n"]:
-        """Fraction of its opening at rest that each vertex keeps, 0 to 1."""
-        s = self.model.organ.arc_length
-        if self.pockets <= 0.0:
-            return np.zeros(len(s))
-        phases = self._rng("pockets").uniform(0.0, 2.0 * np.pi, len(_POCKET_PITCHES))
-        waves = np.sin(s[:, None] / np.array(_POCKET_PITCHES) + phases)
-        level = waves.sum(axis=1) * (2.0 / len(_POCKET_PITCHES)) ** 0.5
-        return smoothstep((level - NormalDist().inv_cdf(1.0 - self.pockets)) / _POCKET_EDGE)
-
-    def _rng(self, purpose: str) -> np.random.Generator:
-        seed = self.model.organ.metadata.get("seed", 0)
-        return stream(seed if isinstance(seed, int) else 0, f"closure/{purpose}")
-
-    def _curvature(self) -> Float[np.ndarray, " n"]:
-        """Curvature of the centerline at each vertex [1/m]."""
-        line = self.model.organ.centerline
-        tangent = np.gradient(line.points, line.arc_length, axis=0)
-        curvature = np.linalg.norm(np.gradient(tangent, line.arc_length, axis=0), axis=1)
-        return np.interp(self.model.organ.arc_length, line.arc_length, curvature)
-
-    def _polar(self) -> tuple[np.ndarray, ...]:
-        """Data of each vertex that do not depend on the pose.
-
-        Arc length, center of its section, offset of the closed lumen from that center, outward
-        direction, radius, mean radius of the section, and of the closed section: tone, mean
-        radius, half length of the slit, maximum height of folds and displacement to the slit.
-        """
-        organ, pose = self.model.organ, self.model.T_world_patient
-        at, frames, _ = interpolate(organ.centerline, organ.arc_length)
-        center, plane = transform_points(pose, at), (pose[:3, :3] @ frames)[:, :, :2]
-        offset = self.model.vertices_world - center
-        radius = np.linalg.norm(offset, axis=1)
-        outward = offset / np.maximum(radius, 1e-9)[:, None]
-        section = np.floor(organ.arc_length / _SECTION)
-        filled, part = np.unique(section, return_inverse=True)
-        means = np.bincount(part, radius) / np.bincount(part)
-        mean = np.interp(organ.arc_length, _SECTION * (filled + 0.5), means)
-        phases = self._rng("course").uniform(0.0, 2.0 * np.pi, 2)
-        sway = _SWAY * np.sin(organ.arc_length[:, None] / np.array(_PITCHES) + phases)
-        tone = np.sin(organ.arc_length / _TONE_PITCHES[0])
-        tone *= np.sin(organ.arc_length / _TONE_PITCHES[1] + 1.0)
-        narrow = self.radius * np.exp(-0.9 * tone)
-        slit = min(_SLIT, 2.0 * self.radius) * np.exp(-0.4 * tone)
-        top = np.minimum(_FOLD_SHARE * mean, _FOLD_HEIGHT)
-        # A quarter of the softness bounds what the smooth maximum adds to radii above 2 mm.
-        reach = narrow + 0.5 * slit + _CREASE_DEPTH * top + 0.25 * _SOFT
-        fit = np.minimum(mean / reach, 1.0)
-        # The closed lumen stays within the wall at rest, and its sections do not cross in bends.
-        room = mean - fit * reach
-        room = np.minimum(room, _BEND_LIMIT / np.maximum(self._curvature(), 1e-6))
-        sway *= (room / np.hypot(room, np.linalg.norm(sway, axis=1)))[:, None]
-        course = np.einsum("ijk,ik->ij", plane, sway)
-        closed = (tone, fit * narrow, fit * slit, fit * top, self._slit(plane, outward))
-        return organ.arc_length, center, course, outward, radius, mean, *closed
-
-
-def closure_of(model: Model) -> LumenClosure | None:
-    """Closure that the metadata of a model's organ request; None leaves the lumen open.
-
-    Raises:
-        InputError: If the metadata are invalid.
-    """
-    radius = model.closed_radius
-    pockets = model.organ.metadata.get(POCKETS, 0.0)
-    is_valid = isinstance(pockets, int | float) and 0.0 <= pockets < 1.0
-    require(is_valid, f"{POCKETS} in the metadata of {model.organ.name}", pockets, "0 to below 1")
-    return LumenClosure(model, radius, float(pockets)) if radius > 0.0 else None
-
-
-def _linear(
-    s: Float[np.ndarray, " k"], knots: Float[np.ndarray, " m"], values: Float[np.ndarray, "m 3"]
-) -> Float[np.ndarray, "k 3"]:
-    return np.stack([np.interp(s, knots, column) for column in values.T], axis=1)
-
+    from vrcaps.organ.surface import OrganSurface
 
 _MIN_DISTANCE = 1e-6
 """Distance from the axis below which the direction is undefined [m]."""
@@ -303,18 +46,47 @@ class WallDisplacement:
         """Vertices of the displaced wall [m]; None for a wall at rest."""
         low, high, least = self._axis(T_world_capsule)
         if self._closure is not None:
-            vertices = self.shown.vertices_world.copy()
-            moved, closed = self._closure.close(
-                T_world_capsule,
-                self.model.device.length / 2.0,
-                self.model.device.radius,
-            )
-            vertices[moved] = closed
-            return self._yielding((vertices, moved), T_world_capsule, (low, high), None)
+            wall = self._closed(self._closure, T_world_capsule)
+            return self._yielding(wall, T_world_capsule, (low, high), None)
         if least >= self.model.device.radius:
             return None
         vertices, moved = self.shown.vertices_world.copy(), np.empty(0, int)
         return self._yielding((vertices, moved), T_world_capsule, (low, high), least)
+
+    @property
+    def is_closing(self) -> bool:
+        """Whether the lumen is slack."""
+        return self._closure is not None
+
+    def closed(
+        self, T_world_capsule: Float[np.ndarray, "4 4"], vertices_world: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, "n 3"]:
+        """Vertices of a moving wall after a slack lumen has closed [m].
+
+        Args:
+            T_world_capsule: Pose of the capsule.
+            vertices_world: Vertices of the wall that the mechanics have moved [m].
+        """
+        if self._closure is None:
+            return vertices_world
+        wall = self._closed(self._closure, T_world_capsule, vertices_world)
+        half = float(self.model.axis_coordinates[-1])
+        return self._yielding(wall, T_world_capsule, (-half, half), None)
+
+    def _closed(
+        self,
+        closure: LumenClosure,
+        T_world_capsule: Float[np.ndarray, "4 4"],
+        vertices_world: Float[np.ndarray, "n 3"] | None = None,
+    ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " k"]]:
+        """Vertices after the closure, and which of them it has moved."""
+        device = self.model.device
+        size = device.length / 2.0, device.radius
+        moved, closed = closure.close(T_world_capsule, *size, vertices_world)
+        at_rest = self.shown.vertices_world
+        vertices = (at_rest if vertices_world is None else vertices_world).copy()
+        vertices[moved] = closed
+        return vertices, moved
 
     @cached_property
     def _closure(self) -> LumenClosure | None:
@@ -386,3 +158,63 @@ def _near(
     for row, middle in zip(rows[1:], center[1:], strict=True):
         near = near[np.abs(row[near] - middle) < reach]
     return near
+
+
+_OPENING = 0.1
+"""Insufflation, above the radius at rest of 1, by which gas opens a slack lumen: an estimate."""
+
+
+class ShownWall:
+    """Wall of a simulation as images show it: of a clean twin, and closed where it is slack."""
+
+    def __init__(self, model: Model, shown: OrganSurface | None = None) -> None:
+        """Compare the wall that is simulated with the one that is shown.
+
+        Args:
+            model: Model that is simulated.
+            shown: Another organ with the same triangles, whose wall moves like the model's.
+
+        Raises:
+            InputError: If the triangles differ.
+        """
+        self.model = model
+        self._offset = None if shown is None else _offset(model.organ, shown)
+        displaced = model if shown is None else replace(model, organ=shown)
+        self._displacement = WallDisplacement(model, displaced)
+
+    def vertices_world(
+        self, state: State, T_world_patient: Float[np.ndarray, "4 4"], insufflation: float
+    ) -> Float[np.ndarray, "n 3"] | None:
+        """Vertices of the wall [m]; None for a wall at rest.
+
+        Args:
+            state: Simulated state.
+            T_world_patient: Pose of the patient.
+            insufflation: Factor on the lumen's radius; gas opens a slack lumen.
+        """
+        vertices = state.vertices_world
+        if vertices is None:
+            return None
+        if self._offset is not None:
+            vertices = vertices + rotate_vectors(T_world_patient, self._offset)
+        if not self._displacement.is_closing:
+            return vertices
+        to_model = self.model.T_world_patient @ invert(T_world_patient)
+        at_model = transform_points(to_model, vertices)
+        closed = self._displacement.closed(to_model @ state.T_world_capsule, at_model)
+        openness = smoothstep((insufflation - 1.0) / _OPENING)
+        return transform_points(invert(to_model), closed + openness * (at_model - closed))
+
+
+def _offset(organ: OrganSurface, shown: OrganSurface) -> Float[np.ndarray, "n 3"]:
+    """Displacement from each vertex of an organ to that of one with the same triangles [m].
+
+    Raises:
+        InputError: If the triangles differ.
+    """
+    if not np.array_equal(organ.faces, shown.faces):
+        raise InputError(
+            f"{organ.name} and its clean twin have different triangles, so the one's moving wall "
+            "cannot be transferred to the other. Record the twin with another motion."
+        )
+    return shown.vertices - organ.vertices

@@ -26,7 +26,7 @@ def main(path: Path) -> None:
         fps=FPS,
         channels=("rgb",),
         motion=vrcaps.Dynamics(
-            start=0.36, motility="phase-three", drag=Drag(viscosity=1.0), substep=2e-4
+            start=0.24, motility="phase-three", drag=Drag(viscosity=1.0), substep=2e-4
         ),
     )
     frames = recorded(scenario)

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from tests.support.small_frames import COUNT, LENS, SIDE, image_of, small_sequence
+from vrcaps.core.color import linear_from_srgb
 from vrcaps.core.errors import InputError
-from vrcaps.learn.augment import Augmentation
+from vrcaps.learn.augment import Augmentation, with_tone
 from vrcaps.learn.networks import Backbone
 from vrcaps.learn.picture_border import Letterbox
 from vrcaps.learn.samples import Samples, samples_of, split_samples
@@ -88,6 +89,28 @@ def test_colors_stay_within_their_factors():
     assert shown.max() <= 132 + 1
     assert np.ptp(shown, axis=1).max() > 5
     assert shown.mean() == pytest.approx(101, abs=3)
+
+
+def test_a_tone_curve_lifts_dark_colors_and_keeps_black_and_white():
+    gray = np.repeat(np.arange(256, dtype=np.uint8)[:, None, None], 3, axis=2)
+    lifted = with_tone(gray, 4.0)
+    assert lifted[0].max() == 0
+    assert lifted[255].min() == 255
+    assert (np.diff(lifted[:, 0, 0].astype(int)) >= 0).all()
+    dark, before = linear_from_srgb(lifted)[8:20, 0, 0], linear_from_srgb(gray)[8:20, 0, 0]
+    np.testing.assert_allclose(dark, 4.0 * before / (1.0 + 3.0 * before), rtol=0.03)
+    np.testing.assert_array_equal(with_tone(gray, 1.0), gray)
+
+
+def test_a_tone_jitter_of_one_leaves_the_other_changes():
+    gray = np.full((4, 4, 3), 60, np.uint8)
+    jitter, lifting = Augmentation(1.2, 1.1, 1.3), Augmentation(1.2, 1.1, 1.3, tone_jitter=8.0)
+    plain, lifted = (
+        np.stack([one.recolor(gray, np.random.default_rng(k))[0, 0] for k in range(50)]).astype(int)
+        for one in (jitter, lifting)
+    )
+    assert (lifted >= plain - 1).all()
+    assert lifted.mean() > 1.5 * plain.mean()
 
 
 def test_masks_of_one_kind_of_lesion():

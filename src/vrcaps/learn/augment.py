@@ -55,12 +55,15 @@ class Augmentation:
         color_jitter: Maximum change of each color channel, as a factor.
         gamma_jitter: Maximum exponent. With 1 for this and both above, colors are not changed.
         min_crop: Minimum side of a random crop, relative to the image; 1 is the whole image.
+        tone_jitter: Maximum slope in the dark of a tone curve that compresses highlights, see
+            `with_tone`; 1 is none.
     """
 
     exposure_jitter: Annotated[float, _JITTER] = 1.3
     color_jitter: Annotated[float, _JITTER] = 1.25
     gamma_jitter: Annotated[float, _JITTER] = 1.3
     min_crop: Annotated[float, Range(above=0.0, max=1.0)] = 0.6
+    tone_jitter: Annotated[float, _JITTER] = 1.0
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -93,10 +96,13 @@ class Augmentation:
     def recolor(
         self, image: UInt8[np.ndarray, "h w 3"], rng: np.random.Generator
     ) -> UInt8[np.ndarray, "h w 3"]:
-        """Apply a random exposure, white balance and gamma to an image."""
+        """Apply a random exposure, white balance, gamma and tone curve to an image."""
         exposure = self.exposure_jitter ** rng.uniform(-1.0, 1.0)
         gain = exposure * self.color_jitter ** rng.uniform(-1.0, 1.0, 3)
-        return with_gain(image, gain, self.gamma_jitter ** rng.uniform(-1.0, 1.0))
+        gamma = self.gamma_jitter ** rng.uniform(-1.0, 1.0)
+        if self.tone_jitter > 1.0:
+            image = with_tone(image, self.tone_jitter ** rng.uniform(0.0, 1.0))
+        return with_gain(image, gain, gamma)
 
 
 def flip(sample: Sample, axis: int) -> Sample:
@@ -124,6 +130,17 @@ def with_gain(
     table = np.arange(256)[:, None] / 255.0
     changed = np.clip(255.0 * gain * table**gamma + 0.5, 0, 255).astype(np.uint8)
     return np.stack([changed[image[..., k], k] for k in range(3)], axis=-1)
+
+
+def with_tone(image: UInt8[np.ndarray, "h w 3"], slope: float) -> UInt8[np.ndarray, "h w 3"]:
+    """Apply a tone curve in linear light: x to a x / (1 + (a - 1) x), with the slope a at 0.
+
+    Black and white stay; dark colors are a times as bright, and highlights are compressed, as by
+    processors of endoscopes. It is L / (1 + L) (Reinhard et al., ACM TOG 21, 2002, eq. 3) for
+    L = (a - 1) x, scaled to 1 at white.
+    """
+    linear = linear_from_srgb(np.arange(256, dtype=np.uint8))
+    return srgb_from_linear(slope * linear / (1.0 + (slope - 1.0) * linear))[image]
 
 
 def _with_maps(sample: Sample, change: Callable[[NDArray], NDArray]) -> Sample:

@@ -121,6 +121,30 @@ def test_the_scale_of_an_unknown_exposure_reaches_prediction() -> None:
     np.testing.assert_allclose(scaled, plain + 0.5, atol=1e-6)
 
 
+def test_a_normalized_prediction_does_not_depend_on_an_unknown_exposure() -> None:
+    """Images whose linear values differ by a factor have the same prediction, up to rounding."""
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+    from vrcaps.learn.samples import batch_of
+    from vrcaps.learn.tasks.depth import DepthTask
+
+    torch.manual_seed(0)
+    learner = DepthTask(backbone=Backbone(32), normalizes_exposure=True)
+    network = learner.network(is_pretrained=False).eval()
+    camera = Camera("a", LensPinhole(fx=50.0, fy=50.0, cx=47.5, cy=31.5), 96, 64)
+    image = np.random.default_rng(0).integers(120, 160, (64, 96, 3)).astype(np.uint8)
+    linear = linear_from_srgb(image)
+    shade = np.where(np.arange(96)[:, None] < 48, 1.0, 0.2)
+    images = image, srgb_from_linear(2.0 * linear), srgb_from_linear(shade * linear)
+    views = [view_of(sequence(one, camera), 0, predicts_lengths=True) for one in images]
+    with torch.inference_mode():
+        plain, twice, shaded, known = (
+            learner.output(network, batch_of([learner.view_inputs(view)])).numpy()
+            for view in (*views, replace(views[0], log_scale=0.0))
+        )
+    assert np.abs(twice - plain).max() < 0.1 * np.abs(shaded - plain).max()
+    assert np.abs(known - plain).max() > 1e-3
+
+
 def test_training_drops_the_exposure_of_a_fraction_of_images() -> None:
     pytest.importorskip("torch", reason="PyTorch is not installed")
     from vrcaps.learn.augment import Augmentation

@@ -77,6 +77,10 @@ class DepthTask(BackboneTask[DepthTerms]):
         backbone: Input size and encoder of the network.
         has_light_cue: Whether the light cue is an input of the network.
         gradient_weight: Weight of the gradient loss.
+        normalizes_exposure: Whether an image of unknown exposure is divided by the exposure that
+            its brightness implies, so that predictions do not depend on it. Otherwise predicted
+            distances are scaled, and the network has to learn not to depend on it. See
+            `log_scale_of`.
         exposure_dropout: Fraction of training images whose exposure is treated as unknown: changed
             by up to a factor of 4, and compensated as in prediction.
         augmentation: Random changes of training images. Colors are changed only where the exposure
@@ -86,6 +90,7 @@ class DepthTask(BackboneTask[DepthTerms]):
     backbone: Backbone = field(default_factory=Backbone)
     has_light_cue: bool = True
     gradient_weight: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.5
+    normalizes_exposure: bool = False
     exposure_dropout: Annotated[float, Range(0.0, 1.0)] = 0.25
     augmentation: Augmentation = field(default_factory=lambda: Augmentation(1.2, 1.2, 1.15, 0.6))
 
@@ -163,15 +168,15 @@ class DepthTask(BackboneTask[DepthTerms]):
         return DepthNetwork(self.backbone, self.has_light_cue, is_pretrained=is_pretrained)
 
     def output(self, network: nn.Module, batch: Batch) -> Tensor:
-        """Return ln(depth / 30 mm) [b 1 s s]; the scale at an unknown exposure is added.
-
-        Images are converted to the camera's own exposure.
-        """
-        if "exposure" in batch:
-            exposure = batch["exposure"].view(-1, 1, 1, 1)
-            batch = {**batch, "image": _encoded(_linear(batch["image"]) / exposure)}
+        """Return ln(depth / 30 mm) [b 1 s s] of images, converted to the camera's own exposure."""
+        log_scale, exposure = batch.get("log_scale"), batch.get("exposure")
+        if self.normalizes_exposure and log_scale is not None and exposure is not None:
+            exposure, log_scale = exposure * torch.exp(2.0 * log_scale), None
+        if exposure is not None:
+            linear = _linear(batch["image"]) / exposure.view(-1, 1, 1, 1)
+            batch = {**batch, "image": _encoded(linear)}
         output = super().output(network, batch)
-        return output + batch["log_scale"].view(-1, 1, 1, 1) if "log_scale" in batch else output
+        return output if log_scale is None else output + log_scale.view(-1, 1, 1, 1)
 
     def loss(self, network: nn.Module, batch: Batch) -> Losses:
         """Loss terms over the pixels that have a true depth."""

@@ -50,6 +50,16 @@ def closed_wall(model: Model, pose: np.ndarray) -> np.ndarray:
     return vertices
 
 
+def shown_wall(
+    model: Model, state: State, T_world_patient: np.ndarray | None = None, insufflation: float = 1.0
+) -> np.ndarray:
+    """Vertices that images of a simulated state show."""
+    patient = model.T_world_patient if T_world_patient is None else T_world_patient
+    vertices = ShownWall(model).vertices_world(state, patient, insufflation)
+    assert vertices is not None
+    return vertices
+
+
 def radius_at(model: Model, vertices: np.ndarray, arc_length: float) -> np.ndarray:
     """Radii of a section about its own center [m]."""
     section = vertices[np.abs(model.organ.arc_length - arc_length) < 0.6 * MM]
@@ -226,7 +236,7 @@ def test_frames_are_those_of_a_wall_that_moves_as_a_whole(model):
 def test_the_wall_of_a_simulation_closes_as_that_of_a_fly_through(model):
     pose = model.place(100 * MM).T_world_capsule
     state = State(0.0, pose, vertices_world=model.vertices_world)
-    shown = ShownWall(model).vertices_world(state, model.T_world_patient, 1.0)
+    shown = shown_wall(model, state)
     np.testing.assert_allclose(shown, closed_wall(model, pose), atol=1e-6)
     assert (
         ShownWall(model).vertices_world(replace(state, vertices_world=None), np.eye(4), 1.0) is None
@@ -238,9 +248,8 @@ def test_the_closure_turns_with_the_patient(model):
     turned = transform_from(rotation_from_vector(np.array([0.3, -1.1, 0.4])), np.array([1, 2, 3]))
     state = State(0.0, pose, vertices_world=model.vertices_world)
     moved = State(0.0, turned @ pose, vertices_world=transform_points(turned, model.vertices_world))
-    wall = ShownWall(model)
-    expected = transform_points(turned, wall.vertices_world(state, model.T_world_patient, 1.0))
-    actual = wall.vertices_world(moved, turned @ model.T_world_patient, 1.0)
+    expected = transform_points(turned, shown_wall(model, state))
+    actual = shown_wall(model, moved, turned @ model.T_world_patient)
     np.testing.assert_allclose(actual, expected, atol=1e-9)
 
 
@@ -251,7 +260,7 @@ def test_a_contracted_wall_does_not_open_by_closing(model):
     near = np.abs(model.organ.arc_length - 125 * MM) < 5 * MM
     contracted[near, :2] *= 0.1
     state = State(0.0, pose, vertices_world=contracted)
-    shown = ShownWall(model).vertices_world(state, model.T_world_patient, 1.0)
+    shown = shown_wall(model, state)
     assert radius_at(model, shown, 125 * MM).max() < 0.35 * RADIUS
     assert radius_at(model, shown, 110 * MM).mean() > 1.5 * MM
 
@@ -259,7 +268,7 @@ def test_a_contracted_wall_does_not_open_by_closing(model):
 @pytest.mark.parametrize(("insufflation", "is_open"), [(0.9, False), (1.0, False), (1.1, True)])
 def test_gas_opens_a_slack_lumen(model, insufflation, is_open):
     state = State(0.0, model.place(100 * MM).T_world_capsule, vertices_world=model.vertices_world)
-    shown = ShownWall(model).vertices_world(state, model.T_world_patient, insufflation)
+    shown = shown_wall(model, state, insufflation=insufflation)
     assert (np.abs(shown - model.vertices_world).max() < 1e-9) == is_open
 
 
@@ -268,6 +277,7 @@ def test_a_simulation_shows_the_closed_lumen():
     model = replace(straight(), T_world_patient=posture_transform("supine"))
     settings = Dynamics(start=0.5, settle=0.1, substep=1e-3)
     state = next(Rollout(model, settings, frames=1, fps=5.0, seed=0).steps()).state
+    assert state.vertices_world is not None
     vertices = transform_points(invert(model.T_world_patient), state.vertices_world)
     at = invert(model.T_world_patient) @ state.T_world_capsule
     assert radius_at(model, vertices, at[2, 3] + 30 * MM).mean() < 0.5 * RADIUS

@@ -202,7 +202,7 @@ class ShownWall:
         to_model = self.model.T_world_patient @ invert(T_world_patient)
         at_model = transform_points(to_model, vertices)
         closed = self._displacement.closed(to_model @ state.T_world_capsule, at_model)
-        openness = smoothstep((insufflation - 1.0) / _OPENING)
+        openness = smoothstep(np.array((insufflation - 1.0) / _OPENING))
         return transform_points(invert(to_model), closed + openness * (at_model - closed))
 
 

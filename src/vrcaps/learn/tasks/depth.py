@@ -79,7 +79,7 @@ class DepthTask(BackboneTask[DepthTerms]):
         gradient_weight: Weight of the gradient loss.
         normalizes_exposure: Whether an image of unknown exposure is divided by the exposure that
             its brightness implies, so that predictions do not depend on it. Otherwise predicted
-            distances are scaled, and the network has to learn not to depend on it. See
+            distances are scaled, and independence of it depends on training. See
             `log_scale_of`.
         exposure_dropout: Fraction of training images whose exposure is treated as unknown: changed
             by up to a factor of 4, and compensated as in prediction.

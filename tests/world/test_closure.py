@@ -238,9 +238,8 @@ def test_the_wall_of_a_simulation_closes_as_that_of_a_fly_through(model):
     state = State(0.0, pose, vertices_world=model.vertices_world)
     shown = shown_wall(model, state)
     np.testing.assert_allclose(shown, closed_wall(model, pose), atol=1e-6)
-    assert (
-        ShownWall(model).vertices_world(replace(state, vertices_world=None), np.eye(4), 1.0) is None
-    )
+    at_rest = replace(state, vertices_world=None)
+    assert ShownWall(model).vertices_world(at_rest, model.T_world_patient, 1.0) is None
 
 
 def test_the_closure_turns_with_the_patient(model):

@@ -53,7 +53,7 @@ class Augmentation:
     Attributes:
         exposure_jitter: Maximum change of exposure, as a factor: 1.3 is ± 30 %.
         color_jitter: Maximum change of each color channel, as a factor.
-        gamma_jitter: Maximum exponent. With 1 for this and both above, colors are not changed.
+        gamma_jitter: Maximum exponent. With 1 for all four jitters, colors are not changed.
         min_crop: Minimum side of a random crop, relative to the image; 1 is the whole image.
         tone_jitter: Maximum slope in the dark of a tone curve that compresses highlights, see
             `with_tone`; 1 is none.

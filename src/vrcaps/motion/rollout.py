@@ -13,11 +13,7 @@ from vrcaps.actuation.coil_program import CoilProgram
 from vrcaps.actuation.steering_program import SteeringProgram
 from vrcaps.core.errors import InputError
 from vrcaps.core.fields import path_of
-from vrcaps.core.geometry import (
-    invert,
-    transform_from,
-    transform_points,
-)
+from vrcaps.core.geometry import invert, transform_from, transform_points
 from vrcaps.core.units import CM
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.motion.dynamics_settings import DynamicsSettings, motion_row

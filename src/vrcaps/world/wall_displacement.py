@@ -45,31 +45,28 @@ class WallDisplacement:
     ) -> Float[np.ndarray, "n 3"] | None:
         """Vertices of the displaced wall [m]; None for a wall at rest."""
         low, high, least = self._axis(T_world_capsule)
-        if self._closure is not None:
-            wall = self._closed(self._closure, T_world_capsule)
+        if self.closure is not None:
+            wall = self._closed(self.closure, T_world_capsule)
             return self._yielding(wall, T_world_capsule, (low, high), None)
         if least >= self.model.device.radius:
             return None
         vertices, moved = self.shown.vertices_world.copy(), np.empty(0, int)
         return self._yielding((vertices, moved), T_world_capsule, (low, high), least)
 
-    @property
-    def is_closing(self) -> bool:
-        """Whether the lumen is slack."""
-        return self._closure is not None
-
     def closed(
-        self, T_world_capsule: Float[np.ndarray, "4 4"], vertices_world: Float[np.ndarray, "n 3"]
+        self,
+        closure: LumenClosure,
+        T_world_capsule: Float[np.ndarray, "4 4"],
+        vertices_world: Float[np.ndarray, "n 3"],
     ) -> Float[np.ndarray, "n 3"]:
         """Vertices of a moving wall after a slack lumen has closed [m].
 
         Args:
+            closure: Closure of the slack lumen.
             T_world_capsule: Pose of the capsule.
             vertices_world: Vertices of the wall that the mechanics have moved [m].
         """
-        if self._closure is None:
-            return vertices_world
-        wall = self._closed(self._closure, T_world_capsule, vertices_world)
+        wall = self._closed(closure, T_world_capsule, vertices_world)
         half = float(self.model.axis_coordinates[-1])
         return self._yielding(wall, T_world_capsule, (-half, half), None)
 
@@ -89,7 +86,8 @@ class WallDisplacement:
         return vertices, moved
 
     @cached_property
-    def _closure(self) -> LumenClosure | None:
+    def closure(self) -> LumenClosure | None:
+        """Closure of a slack lumen; None if it stays open."""
         return closure_of(self.shown)
 
     @cached_property
@@ -197,11 +195,12 @@ class ShownWall:
             return None
         if self._offset is not None:
             vertices = vertices + rotate_vectors(T_world_patient, self._offset)
-        if not self._displacement.is_closing:
+        closure = self._displacement.closure
+        if closure is None:
             return vertices
         to_model = self.model.T_world_patient @ invert(T_world_patient)
         at_model = transform_points(to_model, vertices)
-        closed = self._displacement.closed(to_model @ state.T_world_capsule, at_model)
+        closed = self._displacement.closed(closure, to_model @ state.T_world_capsule, at_model)
         openness = smoothstep(np.array((insufflation - 1.0) / _OPENING))
         return transform_points(invert(to_model), closed + openness * (at_model - closed))
 

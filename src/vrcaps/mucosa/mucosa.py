@@ -112,7 +112,7 @@ MUCOSAE: dict[str, Mucosa] = {
     ),
     "small-bowel": Mucosa(
         base_color=(0.312, 0.190, 0.123),
-        redness_variation=0.23,
+        redness_variation=0.34,
         patchiness=0.45,
         patient_variation=(0.12, 0.38),
         bile=0.36,

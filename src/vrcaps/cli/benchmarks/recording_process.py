@@ -129,7 +129,8 @@ def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
             write_bytes(path, files[path])
 
     stages = {
-        "pose": {**_timed(move, frames), "note": "and the wall around the capsule"},
+        "pose, first frame": {**_timed(move, frames[:1]), "note": "course of a closed lumen"},
+        "pose": {**_timed(move, frames[1:]), "note": "and the wall around the capsule"},
         "render, first frame": {**_timed(render, frames[:1]), "note": "form factors of its wall"},
         "render": {**_timed(render, frames[1:]), "note": "into new arrays, as the recorder does"},
         "render, again": {**_timed(render_again, frames), "note": "the same frames, arrays reused"},

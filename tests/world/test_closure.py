@@ -90,6 +90,16 @@ def test_the_shell_stays_inside(model, tilt, shift):
     assert len(self_intersections(vertices, model.organ.faces)) == 0
 
 
+def test_triangles_that_intersect_in_the_closed_wall_are_relaxed(model):
+    vertices = model.organ.vertices.copy()
+    vertex = int(np.flatnonzero(np.abs(model.organ.arc_length - 130 * MM) < 0.6 * MM)[7])
+    vertices[vertex, 2] += 2.5 * MM
+    tangled = replace(model, organ=replace(model.organ, vertices=vertices))
+    assert len(self_intersections(tangled.vertices_world, tangled.organ.faces)) > 0
+    closed = closed_wall(tangled, tangled.place(100 * MM).T_world_capsule)
+    assert len(self_intersections(closed, tangled.organ.faces)) == 0
+
+
 @pytest.mark.parametrize("factor", [0.7, 0.9, 1.1])
 def test_the_order_along_a_ray_is_kept(model, factor):
     """A vertex closer to the centerline stays closer, one farther away stays farther away."""

@@ -18,6 +18,7 @@ from vrcaps.core.errors import require
 from vrcaps.core.geometry import fold_profile, smoothstep, transform_points
 from vrcaps.core.rng import stream
 from vrcaps.core.units import MM
+from vrcaps.mesh.untangle import HarmonicPatch, untangle
 from vrcaps.organ.surface import POCKETS, interpolate
 from vrcaps.world.model import Model
 
@@ -129,6 +130,25 @@ class _OpenWall(_PerVertex):
 
 
 @dataclass(frozen=True)
+class _Contraction:
+    """Place and degree of the contraction at each vertex.
+
+    Attributes:
+        weight: Fraction of the displacement that applies.
+        offset: Offset of the lumen from the centers of the sections at rest [m].
+        radius: Mean radius of the section [m].
+        far: Fraction to which the lumen is a slit, and to which the relief at rest is reduced.
+        folded: Height of the folds relative to its value far from the capsule.
+    """
+
+    weight: Float[np.ndarray, " n"]
+    offset: Float[np.ndarray, "n 3"]
+    radius: Float[np.ndarray, " n"]
+    far: Float[np.ndarray, " n"]
+    folded: Float[np.ndarray, " n"]
+
+
+@dataclass(frozen=True)
 class LumenClosure:
     """Displacement that closes the lumen before and behind the capsule.
 
@@ -146,6 +166,9 @@ class LumenClosure:
     sinusoidal pleats that preserve the perimeter, r² + n² A² / 2 = R². They replace most of the
     relief at rest, which would become radial pleats. In pockets of gas or fluid the wall stays at
     rest, in part or in full. Lengths, shares and sizes are estimates from capsule frames.
+
+    Where a fold is too steep for the triangles of the wall, a few of them intersect; their vertices
+    are relaxed (`vrcaps.mesh.untangle`).
 
     Attributes:
         model: Model whose wall is displaced.
@@ -193,16 +216,29 @@ class LumenClosure:
         low, high = np.interp([-cylinder, cylinder], np.linspace(-1, 1, _NUM_SAMPLES), s_axis)
         away = np.maximum(np.maximum(low - at.s, at.s - high), 0.0)
         far = smoothstep(away / (_FUNNEL * np.exp(-0.8 * at.tone)))
-        slit = far * np.minimum(at.slit, wall.mean)  # less where muscle has contracted the section
-        offset += slit[:, None] * along_slit(at, wall.outward)
         wanted = (1.0 - far) * _PLAY * shell_radius + far * at.radius
-        height = np.sqrt(np.maximum(wall.mean**2 - wanted**2, 0.0)) * _FOLD_SHARE
-        height = np.minimum(height, at.top) * smoothstep(away / _ONSET)
-        relief = (1.0 - _SMOOTHED * far) * (wall.radius - wall.mean)
-        free = np.minimum(wall.mean, wanted) + relief - height * at.folds - 0.5 * slit - _LEAST
-        closed = _LEAST + 0.5 * (free + np.hypot(free, _SOFT))
-        closed = wall.radius + weight * (np.minimum(closed, wall.radius) - wall.radius)
-        return moved, at.center + weight[:, None] * offset + closed[:, None] * wall.outward
+        folded = smoothstep(away / _ONSET)
+        closed = _closed(at, wall, _Contraction(weight, offset, wanted, far, folded))
+        for patch in self._patches:
+            inside, border = patch.inside - near.start, patch.border - near.start
+            ends = np.concatenate([inside, border])
+            if ends.min() >= 0 and ends.max() < len(closed):
+                relaxed = patch.weights @ closed[border]
+                closed[inside] += weight[inside, None] * (relaxed - closed[inside])
+        return moved, closed
+
+    @cached_property
+    def _patches(self) -> tuple[HarmonicPatch, ...]:
+        """Parts of the closed wall to relax, as folds there are too steep for its triangles.
+
+        Indices are in the order of arc length.
+        """
+        order, at, wall = self._sorted
+        one = np.ones(len(order))
+        contraction = _Contraction(1.0 - at.openness, at.sway, at.radius, one, one)
+        rank = np.empty_like(order)
+        rank[order] = np.arange(len(order))
+        return untangle(_closed(at, wall, contraction), rank[self.model.organ.faces])
 
     def _axis(
         self, T_world_capsule: Float[np.ndarray, "4 4"], half_length: float
@@ -316,6 +352,19 @@ def closure_of(model: Model) -> LumenClosure | None:
     is_valid = isinstance(pockets, int | float) and 0.0 <= pockets < 1.0
     require(is_valid, f"{POCKETS} in the metadata of {model.organ.name}", pockets, "0 to below 1")
     return LumenClosure(model, radius, float(pockets)) if radius > 0.0 else None
+
+
+def _closed(at: _Course, wall: _OpenWall, to: _Contraction) -> Float[np.ndarray, "n 3"]:
+    """Positions of vertices after a contraction [m]."""
+    slit = to.far * np.minimum(at.slit, wall.mean)  # less where muscle has contracted the section
+    offset = to.offset + slit[:, None] * along_slit(at, wall.outward)
+    height = np.sqrt(np.maximum(wall.mean**2 - to.radius**2, 0.0)) * _FOLD_SHARE
+    height = np.minimum(height, at.top) * to.folded
+    relief = (1.0 - _SMOOTHED * to.far) * (wall.radius - wall.mean)
+    free = np.minimum(wall.mean, to.radius) + relief - height * at.folds - 0.5 * slit - _LEAST
+    closed = _LEAST + 0.5 * (free + np.hypot(free, _SOFT))
+    closed = wall.radius + to.weight * (np.minimum(closed, wall.radius) - wall.radius)
+    return at.center + to.weight[:, None] * offset + closed[:, None] * wall.outward
 
 
 def _linear(

@@ -1,0 +1,129 @@
+"""Untangling: small patches of a deformed mesh are relaxed until no triangles intersect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.core.geometry import edge_graph, triangle_normals, unit
+from vrcaps.core.units import MM
+from vrcaps.mesh.mesh import vertex_normals
+from vrcaps.mesh.self_intersection import self_intersections
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+_NEAR = 8 * MM
+"""Distance from an intersection within which triangles are examined while patches grow [m]."""
+_ROUNDS = 8
+"""Maximum number of times that patches grow by a ring of vertices."""
+
+
+@dataclass(frozen=True)
+class HarmonicPatch:
+    """Connected vertices, each of which lies at the mean of its neighbors.
+
+    Attributes:
+        inside: Indices of these vertices.
+        border: Indices of their other neighbors, which determine their positions.
+        weights: Weight of each vertex of the border, at least 0; rows have the sum 1.
+    """
+
+    inside: Int[np.ndarray, " k"]
+    border: Int[np.ndarray, " b"]
+    weights: Float[np.ndarray, "k b"]
+
+
+def untangle(
+    vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
+) -> tuple[HarmonicPatch, ...]:
+    """Return patches whose relaxation removes the self-intersections of a folded surface.
+
+    A fold that is too steep for its triangles turns some of them over. Their vertices and a ring of
+    neighbors form patches, which grow until the relaxed surface has no intersections near them.
+    The positions are those of a discrete harmonic map with equal weights (Tutte 1963, "How to draw
+    a graph", Proc. London Math. Soc. s3-13:743).
+
+    Finds intersections next to triangles that are turned over, by more than 90° from the mean
+    normal of a vertex; not those of distant parts of the surface.
+
+    Args:
+        vertices: Positions [m].
+        faces: Vertex indices.
+    """
+    beside = np.flatnonzero(_beside_turned(vertices, faces))
+    tangled = np.unique(faces[beside[self_intersections(vertices, faces[beside])]])
+    if not len(tangled):
+        return ()
+    near = faces[_is_near(vertices, vertices[tangled])[faces].any(axis=1)]
+    patches: tuple[HarmonicPatch, ...] = ()
+    for _ in range(_ROUNDS):
+        patches = _harmonic_patches(_with_neighbors(tangled, near), vertices, near)
+        pairs = self_intersections(relaxed(vertices, patches), near)
+        if not len(pairs):
+            break
+        tangled = np.union1d(tangled, near[pairs])
+    return patches
+
+
+def relaxed(
+    vertices: Float[np.ndarray, "n 3"], patches: tuple[HarmonicPatch, ...]
+) -> Float[np.ndarray, "n 3"]:
+    """Vertices with those inside the patches at the means of their neighbors [m]."""
+    moved = vertices.copy()
+    for patch in patches:
+        moved[patch.inside] = patch.weights @ vertices[patch.border]
+    return moved
+
+
+def _beside_turned(
+    vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
+) -> Bool[np.ndarray, " m"]:
+    """Whether each triangle is turned over or has a vertex in common with one that is."""
+    normals = unit(triangle_normals(vertices[faces]))
+    at_vertex = vertex_normals(vertices, faces)
+    facing = [np.einsum("ij,ij->i", normals, at_vertex[faces[:, corner]]) for corner in range(3)]
+    touched = np.zeros(len(vertices), bool)
+    touched[faces[np.min(facing, axis=0) < 0.0]] = True
+    return np.asarray(touched[faces].any(axis=1))
+
+
+def _is_near(
+    vertices: Float[np.ndarray, "n 3"], points: Float[np.ndarray, "k 3"]
+) -> Bool[np.ndarray, " n"]:
+    """Whether each vertex is near one of the points."""
+    import scipy.spatial
+
+    distance = scipy.spatial.KDTree(points).query(vertices, distance_upper_bound=_NEAR)[0]
+    return np.asarray(np.isfinite(distance))
+
+
+def _with_neighbors(
+    vertices: Int[np.ndarray, " k"], faces: Int[np.ndarray, "m 3"]
+) -> Int[np.ndarray, " l"]:
+    """Indices of vertices and of those that share a triangle with them."""
+    return np.unique(faces[np.isin(faces, vertices).any(axis=1)])
+
+
+def _harmonic_patches(
+    inside: Int[np.ndarray, " k"],
+    vertices: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "m 3"],
+) -> tuple[HarmonicPatch, ...]:
+    """Patch of each connected part of the vertices inside."""
+    from scipy.sparse.csgraph import connected_components
+
+    linked = edge_graph(vertices, faces).tocsr()[inside] > 0.0
+    count, part = connected_components(linked[:, inside], directed=False)
+    patches = []
+    for index in range(count):
+        rows = linked[part == index]
+        members, reached = inside[part == index], np.unique(rows.indices)
+        border = np.setdiff1d(reached, members)
+        degree = np.diag(np.diff(rows.indptr).astype(float))
+        laplacian = degree - rows[:, members].toarray()
+        weights = np.linalg.solve(laplacian, rows[:, border].toarray().astype(float))
+        patches.append(HarmonicPatch(members, border, weights))
+    return tuple(patches)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,10 @@ from vrcaps.core.geometry import (
     quaternion_from_matrix,
     transform_from,
 )
-from vrcaps.core.units import DM
+from vrcaps.core.units import DM, MM
 from vrcaps.motion.replay import Replay, read_euroc_csv, read_tum, read_unity_csv, replay
+from vrcaps.organ.surface import CLOSED_RADIUS
+from vrcaps.world.wall_displacement import WallDisplacement
 
 HEADER = "tX;tY;tZ;rX;rY;rZ;rW;time(s)\n"
 ROWS = [f"{0.1 * i};0;0;0;0;0;1;{0.5 * i}\n" for i in range(6)]
@@ -179,6 +183,20 @@ def test_replay_outside_the_lumen(tmp_path, model):
         replay(model, Replay(str(path), "tum", "m"), frames=5, fps=10.0)
     allowed = Replay(str(path), "tum", "m", allow_outside=True)
     assert len(replay(model, allowed, frames=5, fps=10.0)) == 5
+
+
+def test_a_slack_lumen_closes_around_a_replayed_path(tmp_path, model):
+    path, _ = _tum_along_the_axis(tmp_path, model, of_camera=False)
+    organ = replace(model.organ, metadata={**model.organ.metadata, CLOSED_RADIUS: 2 * MM})
+    slack = replace(model, organ=organ)
+    settings = Replay(str(path), "tum", "m", pose="capsule")
+    state = settings.begin(slack, frames=2, fps=10.0, seed=0).state(1)
+    expected = WallDisplacement(slack, slack).vertices_world(state.T_world_capsule)
+    assert expected is not None
+    np.testing.assert_array_equal(state.vertices_world, expected)
+    assert np.abs(expected - slack.vertices_world).max() > 2 * MM
+    rigid = replace(settings, rigid_wall=True).begin(slack, frames=2, fps=10.0, seed=0)
+    assert rigid.state(1).vertices_world is None
 
 
 @pytest.mark.parametrize(

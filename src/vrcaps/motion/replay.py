@@ -8,7 +8,7 @@ wrong path without an error: each reader rejects the layouts of the others.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -27,6 +27,7 @@ from vrcaps.core.units import DEG, parse_length
 from vrcaps.motion.motion import MotionSettings
 from vrcaps.motion.trajectory import Trajectory, resample, trajectory_from_poses
 from vrcaps.world.model import Model
+from vrcaps.world.wall_displacement import WallDisplacement
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -55,6 +56,8 @@ class Replay(MotionSettings):
             z-up (`unity-csv`) frame: four rows of four numbers.
         start: Time in the file of the first frame, relative to the file's first pose [s].
         allow_outside: Accept frames whose camera is outside the lumen.
+        rigid_wall: Whether the wall keeps its shape. Otherwise it yields to the shell where the
+            lumen is narrower than the capsule, and a slack lumen closes around the capsule.
     """
 
     path: FileRef | str
@@ -66,14 +69,18 @@ class Replay(MotionSettings):
     T_frame_recording: tuple[tuple[float, float, float, float], ...] = _IDENTITY
     start: float = 0.0
     allow_outside: bool = False
+    rigid_wall: bool = False
 
     kind: ClassVar[str] = "replay"
 
     def begin(
         self, model: Model, *, frames: int, fps: float, seed: int, shown: Model | None = None
     ) -> Trajectory:
-        """Read the path in a model, see `MotionSettings.begin`; the wall stays at rest."""
-        return replay(model, self, frames=frames, fps=fps)
+        """Read the path in a model, see `MotionSettings.begin`."""
+        trajectory = replay(model, self, frames=frames, fps=fps)
+        if self.rigid_wall:
+            return trajectory
+        return replace(trajectory, wall_displacement=WallDisplacement(model, shown or model))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "path", file_ref(self.path))
@@ -83,7 +90,7 @@ class Replay(MotionSettings):
 
 
 def replay(model: Model, settings: Replay, *, frames: int, fps: float) -> Trajectory:
-    """Trajectory of the capsule along a recorded path, at the frames' times.
+    """Trajectory of the capsule along a recorded path, at the frames' times; the wall is at rest.
 
     Args:
         model: The capsule, and the lumen that contains it.

@@ -77,8 +77,8 @@ def _aspect(organ: OrganSurface) -> Float[np.ndarray, " m"]:
     return ratio.astype(np.float32)
 
 
-VILLUS_SPACING = 0.22 * MM
-"""Root of the area per villus: 20 per mm², the lower end of the range in adults, 20 to 40."""
+VILLUS_SPACING = 0.16 * MM
+"""Root of the area per villus: 40 per mm², the upper end of the range in adults, 20 to 40."""
 
 GAP_DENSITY = 0.8
 """Optical density in green of the gaps between villi relative to their tips; chosen so that the

@@ -23,7 +23,7 @@ from vrcaps.anatomy.full_tract.patient import (
 )
 from vrcaps.anatomy.full_tract.textures import with_appearance
 from vrcaps.anatomy.small_bowel import lay_small_bowel, small_bowel_rng
-from vrcaps.anatomy.tube_mesh.swept_surface import draw_waves, sum_waves, within_bend, wrap
+from vrcaps.anatomy.tube_mesh.swept_surface import within_bend, wrap
 from vrcaps.anatomy.tube_mesh.tube import ObstacleSpheres, smooth_course
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import smoothstep
@@ -31,6 +31,7 @@ from vrcaps.core.rng import truncated_normal
 from vrcaps.core.units import CM, MM
 from vrcaps.organ.measure import measure_organ
 from vrcaps.organ.surface import OrganSurface, interpolate
+from vrcaps.organ.waves import draw_waves, sum_waves
 
 pytestmark = pytest.mark.slow
 

@@ -20,6 +20,7 @@ from vrcaps.core.rng import stream
 from vrcaps.core.units import MM
 from vrcaps.mesh.untangle import HarmonicPatch, untangle
 from vrcaps.organ.surface import POCKETS, interpolate
+from vrcaps.organ.waves import sum_waves
 from vrcaps.world.model import Model
 
 if TYPE_CHECKING:
@@ -276,16 +277,16 @@ class LumenClosure:
 
     def _folds(self) -> Float[np.ndarray, " n"]:
         """Relief of the buckled wall at each vertex: rounded folds between creases, mean 0."""
-        s, theta = self.model.organ.arc_length, self.model.organ.theta
-        rng, field = self._rng("folds"), np.zeros(len(s))
+        rng, waves = self._rng("folds"), []
         low, high = np.log(_FOLD_PITCHES)
         for lobes, least in zip(_MAX_LOBES, (0, 2), strict=True):
             lobe = rng.integers(least, lobes + 1, _FOLD_WAVES) * rng.choice([-1, 1], _FOLD_WAVES)
             turns = np.exp(-rng.uniform(low, high, _FOLD_WAVES))
             phase = rng.uniform(0.0, 2.0 * np.pi, _FOLD_WAVES)
-            for n, k, p in zip(lobe, turns, phase, strict=True):
-                field += np.sin(k * s + n * theta + p)
-        field /= _FOLD_WAVES**0.5
+            amplitude = np.full(_FOLD_WAVES, _FOLD_WAVES**-0.5)
+            waves.append(np.stack([amplitude, turns, lobe, phase], axis=1))
+        organ = self.model.organ
+        field = sum_waves(np.concatenate(waves), organ.arc_length, organ.theta)
         relief = fold_profile(field)
         return relief - relief.mean()
 

@@ -14,17 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.anatomy.colon.course import blend, lumen_radius
-from vrcaps.anatomy.tube_mesh.swept_surface import (
-    Crests,
-    Folds,
-    dome,
-    draw_waves,
-    sum_waves,
-    within_bend,
-    wrap,
-)
+from vrcaps.anatomy.tube_mesh.swept_surface import Crests, Folds, dome, within_bend, wrap
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.units import CM, DEG, MM
+from vrcaps.organ.waves import draw_waves, sum_waves
 
 if TYPE_CHECKING:
     from jaxtyping import Float

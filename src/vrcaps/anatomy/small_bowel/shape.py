@@ -14,9 +14,10 @@ import numpy as np
 import scipy
 
 from vrcaps.anatomy.small_bowel.parameters import BULB_LENGTH
-from vrcaps.anatomy.tube_mesh.swept_surface import Folds, draw_waves, sum_waves, within_bend, wrap
+from vrcaps.anatomy.tube_mesh.swept_surface import Folds, within_bend, wrap
 from vrcaps.core.geometry import fold_profile, smoothstep
 from vrcaps.core.units import CM, MM
+from vrcaps.organ.waves import draw_waves, sum_waves
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from vrcaps.anatomy.tube_mesh.swept_surface import draw_waves, sum_waves, within_bend, wrap
+from vrcaps.anatomy.tube_mesh.swept_surface import within_bend, wrap
 from vrcaps.anatomy.tube_mesh.tube import Course
 from vrcaps.core.geometry import smoothstep
 from vrcaps.core.rng import stream
 from vrcaps.core.units import CM, MM
+from vrcaps.organ.waves import draw_waves, sum_waves
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -221,7 +221,7 @@ impl Spheres {
     }
 
     /// Spheres whose bounds overlap the box from `low` to `high`; `power` is about `origin`.
-    pub fn within(&self, (low, high): (Vec3, Vec3), origin: Vec3, found: &mut Vec<Near>) {
+    pub fn within(&self, (low, high): Corners, origin: Vec3, found: &mut Vec<Near>) {
         found.clear();
         let mut waiting = if self.nodes.is_empty() { Vec::new() } else { vec![0] };
         while let Some(number) = waiting.pop() {

@@ -28,6 +28,21 @@ pub fn add(a: Vec3, b: Vec3) -> Vec3 {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
 }
 
+/// Corners of a box along the axes, the low one first.
+pub type Corners = (Vec3, Vec3);
+
+/// A box without points.
+pub const EMPTY_BOX: Corners = ([f32::MAX; 3], [f32::MIN; 3]);
+
+/// Extends a box to a point.
+#[inline(always)]
+pub fn enclose((low, high): &mut Corners, point: Vec3) {
+    for k in 0..3 {
+        low[k] = min(low[k], point[k]);
+        high[k] = max(high[k], point[k]);
+    }
+}
+
 /// `a · s`.
 #[inline(always)]
 pub fn scale(a: Vec3, s: f32) -> Vec3 {

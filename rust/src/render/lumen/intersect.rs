@@ -101,7 +101,7 @@ impl LumenRays<'_> {
         near: &mut Vec<Near>,
     ) -> (Hits, Particles) {
         let (mut hits, mut particles) = (Hits::within([0.0; LANES]), Particles::nothing());
-        let (mut low, mut high) = ([f32::MAX; 3], [f32::MIN; 3]);
+        let mut around = EMPTY_BOX;
         for i in (0..LANES).filter(|&i| used[i]) {
             let (start, direction) = (at(&turn.place, i), at(&turn.heading, i));
             hits.distance[i] = MAX_DISTANCE;
@@ -114,14 +114,11 @@ impl LumenRays<'_> {
                     hits.edges[k][i] = hit.edges[k];
                 }
             }
-            let end = add(start, scale(direction, hits.distance[i]));
-            for k in 0..3 {
-                low[k] = min(low[k], min(start[k], end[k]));
-                high[k] = max(high[k], max(start[k], end[k]));
-            }
+            enclose(&mut around, start);
+            enclose(&mut around, add(start, scale(direction, hits.distance[i])));
         }
         let chyme = self.chyme;
-        chyme.within((low, high), low, near);
+        chyme.within(around, around.0, near);
         let beams = Beams { starts: &turn.place, headings: &turn.heading, from: &[0.0; LANES] };
         chyme.meet::<false>(near, &beams, &mut hits.distance, &mut particles);
         for i in (0..LANES).filter(|&i| used[i]) {

@@ -98,16 +98,13 @@ pub fn segments_unoccluded(chyme: &Spheres, wall: &Wall, segments: &[[Vec3; 2]])
         for (free, &[start, point]) in out.iter_mut().zip(chunk) {
             let offset = sub(point, start);
             let (heading, reach) = (normalize(offset), dot(offset, offset).sqrt() * SHADOW_REACH);
-            let (mut low, mut high) = (start, start);
-            for k in 0..3 {
-                low[k] = min(start[k], point[k]);
-                high[k] = max(start[k], point[k]);
-            }
+            let mut around = (start, start);
+            enclose(&mut around, point);
             // Particles last: the march through a clump is the slowest test.
             *free = reach.is_finite()
                 && ray::cast::<true>(&wall.bvh, start, heading, reach, MISS).is_none()
                 && {
-                    chyme.within((low, high), start, &mut near);
+                    chyme.within(around, start, &mut near);
                     chyme.meet_ray::<true>(&mut near, (start, heading), reach).0 == reach
                 };
         }

@@ -132,17 +132,17 @@ pub fn unfolded(
     heading: &Lane3,
     ends: &Lane3,
     lanes: &[bool; LANES],
-) -> (Lane3, Vec3, (Vec3, Vec3)) {
-    let (mut low, mut high, mut sum, mut count) = ([f32::MAX; 3], [f32::MIN; 3], [0.0; 3], 0.0);
+) -> (Lane3, Vec3, Corners) {
+    let (mut around, mut sum, mut count) = (EMPTY_BOX, [0.0; 3], 0.0);
     let mut starts = turn.place;
     for i in (0..LANES).filter(|&i| lanes[i]) {
         for k in 0..3 {
             starts[k][i] -= turn.distance[i] * heading[k][i];
             sum[k] += starts[k][i];
-            low[k] = min(low[k], min(turn.place[k][i], ends[k][i]));
-            high[k] = max(high[k], max(turn.place[k][i], ends[k][i]));
         }
+        enclose(&mut around, at(&turn.place, i));
+        enclose(&mut around, at(ends, i));
         count += 1.0;
     }
-    (starts, scale(sum, 1.0 / max(count, 1.0)), (low, high))
+    (starts, scale(sum, 1.0 / max(count, 1.0)), around)
 }

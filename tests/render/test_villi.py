@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from tests.support.shapes import looking, make_camera, make_model, pinhole, tube
+from tests.support.tubes import tube_about
 from vrcaps import _core
 from vrcaps.camera.camera import Led
 from vrcaps.core.errors import InputError
-from vrcaps.core.geometry import rotation_from_vector
+from vrcaps.core.geometry import rotation_from_vector, triangle_areas
 from vrcaps.organ.segments import find_segment
 from vrcaps.render import scene
 from vrcaps.render.renderer import DEFAULT_CHANNELS, Renderer
@@ -135,6 +136,19 @@ def _frame(model, **settings):
     renderer = Renderer(model, RenderSettings(**settings))
     channels = (*DEFAULT_CHANNELS, "radiance")
     return renderer.render(looking((0.004, -0.003, 0.05)), _CAMERA, channels=channels)
+
+
+def test_a_slack_wall_has_as_many_villi_as_at_rest():
+    line = np.stack([np.zeros(60), np.zeros(60), np.linspace(0.0, 0.2, 60)], axis=1)
+    organ, numbers = tube_about(line, 0.008, 40), []
+    names = ("background", "jejunum")
+    organ = replace(organ, label=np.ones_like(organ.label), label_names=names)
+    for is_slack in (False, True):
+        villi = scene.make_villi(organ, RenderSettings(), is_slack=is_slack)
+        assert villi is not None
+        numbers.append(triangle_areas(villi.vertices[organ.faces]).sum() / villi.spacing**2)
+    assert numbers[1] == pytest.approx(numbers[0], rel=1e-3)
+    assert villi.spacing == pytest.approx(scene.VILLUS_SPACING * scene.SLACK_WIDTH**0.5)
 
 
 def test_only_light_changes():

@@ -4,7 +4,7 @@
 //! darker, in more detail than a texture of a whole gut could hold; they fade where pixels do not
 //! resolve them. Along an outline villi are seen from the side: a pixel behind it within the length
 //! of a villus takes the radiance of the wall at the nearest pixel of the outline. Gaps and lengths
-//! vary with cells on the wall at rest, so villi stay in their places while the wall moves. Only
+//! vary with cells on one shape of the wall, so villi stay in their places while the wall moves. Only
 //! radiance changes; depth and labels are those of the wall.
 
 use crate::mucosa::noise::{Cells, DEVIATION, Lattice, Vec3, exp, smoothstep};
@@ -25,12 +25,12 @@ const INWARD: f32 = 1.5;
 /// Seeds of the cells, and of the variation of the lengths and of the gaps.
 const SEEDS: [u32; 3] = [0x7669_6c6c, 0x7669_6c68, 0x7669_6c67];
 /// Pixels across villi below which gaps are invisible, and from which they are drawn fully.
-const RESOLVED: [f32; 2] = [1.5, 2.6];
-/// Ratio of the sides of a pixel on the wall at rest up to which gaps are invisible, and from which
+const RESOLVED: [f32; 2] = [1.1, 1.9];
+/// Ratio of the sides of a pixel on that shape of the wall up to which gaps are invisible, and from which
 /// they are drawn fully: where a wall is gathered or pulled, gaps would be streaks.
 const ROUND: [f32; 2] = [0.25, 0.5];
 /// Relative standard deviation of the depth of gaps.
-const UNEVEN: f32 = 1.0;
+const UNEVEN: f32 = 0.6;
 /// Optical density of a gap in red, green and blue relative to green.
 const GAP_COLOR: [f32; 3] = [0.7, 1.0, 1.1];
 /// Relative length in the gaps between villi, and difference of the distances to the nearest two
@@ -83,8 +83,8 @@ struct Outline {
 /// Draws villi into planes [3 h w], in place.
 ///
 /// `by_label` [2 256] are the lengths of villi [m] and the densities of the gaps between them;
-/// `wall` are vertices [n 3] and faces [m 3] at rest; `spacing` is the root of the area per villus
-/// [m], `focal` the number of pixels per radian.
+/// `wall` are vertices [n 3] and faces [m 3] of the wall at the width at which villi have their
+/// shape; `spacing` is the root of the area per villus [m], `focal` the pixels per radian.
 ///
 /// # Errors
 /// If arrays differ in size, or a face or vertex does not exist.
@@ -157,7 +157,7 @@ impl<'a> Seen<'a> {
         found
     }
 
-    /// Positions of pixels on the wall at rest [m]; NaN where there are no villi.
+    /// Positions of pixels on the given shape of the wall [m]; NaN where there are no villi.
     fn places(
         &self,
         vertices: ArrayView2<'_, f64>,

@@ -82,7 +82,8 @@ class Renderer:
             load_denoiser()  # fail before expensive work
         self._imaging = make_imaging(model.device, self.settings.imaging)
         self._scene = make_scene(model.organ, self.settings, self._imaging)
-        self._villi = make_villi(model.organ, self.settings)
+        is_slack = model.closed_radius > 0.0
+        self._villi = make_villi(model.organ, self.settings, is_slack=is_slack)
         self._immersion = Immersion(model, self._imaging)
         self._radiosity: _core.Radiosity | None = None
         self._wall = wall or MovingWall(model)

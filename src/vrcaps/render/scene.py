@@ -24,7 +24,14 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import triangle_areas
 from vrcaps.core.units import MM
 from vrcaps.organ.segments import find_segment
-from vrcaps.organ.surface import Appearance, OrganSurface, clearcoat_alpha, face_label, round_height
+from vrcaps.organ.surface import (
+    Appearance,
+    OrganSurface,
+    clearcoat_alpha,
+    face_label,
+    interpolate,
+    round_height,
+)
 from vrcaps.organ.uv import tangent_lengths
 from vrcaps.render.imaging import Imaging
 from vrcaps.render.scattering import TISSUE_IOR, internal_reflectance, optical_properties
@@ -78,9 +85,13 @@ def _aspect(organ: OrganSurface) -> Float[np.ndarray, " m"]:
 
 
 VILLUS_SPACING = 0.16 * MM
-"""Root of the area per villus: 40 per mm², the upper end of the range in adults, 20 to 40."""
+"""Root of the area per villus at rest: 40 per mm², the upper end of the range of 20 to 40."""
 
-GAP_DENSITY = 0.8
+SLACK_WIDTH = 0.6
+"""Width of a slack wall, relative to that at rest, at which its villi are as long as wide: between
+its widths around the capsule and where the lumen is closed."""
+
+GAP_DENSITY = 1.2
 """Optical density in green of the gaps between villi relative to their tips; chosen so that the
 texture of recorded frames approaches that of real frames (`vrcaps compare-looks`)."""
 
@@ -92,12 +103,14 @@ class Villi:
     Attributes:
         lengths: Mean length by label that stands out at the outlines of folds [m], 256 values.
         gaps: Optical density by label of the gaps between villi in green light, 256 values.
-        vertices: Vertices at rest [m].
+        spacing: Root of the area per villus [m].
+        vertices: Vertices of the wall at the width at which villi have this spacing [m].
         faces: Vertex indices of each triangle.
     """
 
     lengths: tuple[float, ...]
     gaps: tuple[float, ...]
+    spacing: float
     vertices: Float[np.ndarray, "n 3"]
     faces: Int64[np.ndarray, "m 3"]
 
@@ -120,15 +133,18 @@ class Villi:
         seen = tuple(channels[name] for name in self.channels)
         wall, focal = (self.vertices, self.faces), focal_length_px(camera.lens)
         by_label = (self.lengths, self.gaps)
-        _core.raise_villi(planes, seen, wall, by_label, VILLUS_SPACING, focal)
+        _core.raise_villi(planes, seen, wall, by_label, self.spacing, focal)
 
 
-def make_villi(organ: OrganSurface, settings: RenderSettings) -> Villi | None:
+def make_villi(
+    organ: OrganSurface, settings: RenderSettings, *, is_slack: bool = False
+) -> Villi | None:
     """Villi of an organ; None if it has none, or with direct light.
 
     Args:
         organ: Organ, whose labels determine the length; only the first 256 names have labels.
         settings: Light and relative length.
+        is_slack: Whether the lumen closes around the capsule, so that its wall is narrower.
     """
     segments = [find_segment(name) for name in organ.label_names[:256]]
     lengths = [segment.villi * settings.villi if segment else 0.0 for segment in segments]
@@ -137,8 +153,12 @@ def make_villi(organ: OrganSurface, settings: RenderSettings) -> Villi | None:
     if settings.light == "direct" or not any(lengths):
         return None
     rest = [0.0] * (256 - len(lengths))
-    vertices, faces = np.asarray(organ.vertices, np.float64), np.asarray(organ.faces, np.int64)
-    return Villi((*lengths, *rest), (*gaps, *rest), vertices, faces)
+    width = SLACK_WIDTH if is_slack else 1.0
+    center = interpolate(organ.centerline, organ.arc_length)[0]
+    vertices = np.ascontiguousarray(center + width * (organ.vertices - center))
+    faces = np.asarray(organ.faces, np.int64)
+    spacing = VILLUS_SPACING * width**0.5
+    return Villi((*lengths, *rest), (*gaps, *rest), spacing, vertices, faces)
 
 
 _CELL_HEIGHT = 5e-6

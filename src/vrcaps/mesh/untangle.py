@@ -42,9 +42,9 @@ def untangle(
     """Return patches whose relaxation removes the self-intersections of a folded surface.
 
     A fold that is too steep for its triangles turns some of them over. Their vertices and a ring of
-    neighbors form patches, which grow until the relaxed surface has no intersections near them.
-    The positions are those of a discrete harmonic map with equal weights (Tutte 1963, "How to draw
-    a graph", Proc. London Math. Soc. s3-13:743).
+    neighbors form patches, which grow by up to eight rings, until the relaxed surface has no
+    intersections near them. The positions are those of a discrete harmonic map with equal weights
+    (Tutte 1963, "How to draw a graph", Proc. London Math. Soc. s3-13:743).
 
     Finds intersections next to triangles that are turned over, by more than 90° from the mean
     normal of a vertex; not those of distant parts of the surface.

@@ -4,8 +4,8 @@
 //! darker, in more detail than a texture of a whole gut could hold; they fade where pixels do not
 //! resolve them. Along an outline villi are seen from the side: a pixel behind it within the length
 //! of a villus takes the radiance of the wall at the nearest pixel of the outline. Gaps and lengths
-//! vary with cells on one shape of the wall, so villi stay in their places while the wall moves. Only
-//! radiance changes; depth and labels are those of the wall.
+//! vary with cells on one shape of the wall, so villi stay in their places while the wall moves.
+//! Only radiance changes; depth and labels are those of the wall.
 
 use crate::mucosa::noise::{Cells, DEVIATION, Lattice, Vec3, exp, smoothstep};
 use crate::mucosa::tissue::{BREAK, LEAF, PLATEAU, broken, leaf_space, plateau};
@@ -26,8 +26,8 @@ const INWARD: f32 = 1.5;
 const SEEDS: [u32; 3] = [0x7669_6c6c, 0x7669_6c68, 0x7669_6c67];
 /// Pixels across villi below which gaps are invisible, and from which they are drawn fully.
 const RESOLVED: [f32; 2] = [1.1, 1.9];
-/// Ratio of the sides of a pixel on that shape of the wall up to which gaps are invisible, and from which
-/// they are drawn fully: where a wall is gathered or pulled, gaps would be streaks.
+/// Ratio of the sides of a pixel on that shape of the wall up to which gaps are invisible, and from
+/// which they are drawn fully: where a wall is gathered or pulled, gaps would be streaks.
 const ROUND: [f32; 2] = [0.25, 0.5];
 /// Relative standard deviation of the depth of gaps.
 const UNEVEN: f32 = 0.6;

@@ -35,6 +35,9 @@ def self_intersections(
     """
     if not len(faces):
         return np.zeros((0, 2), int)
+    is_used = np.zeros(len(vertices), bool)
+    is_used[faces] = True
+    vertices, faces = vertices[is_used], (np.cumsum(is_used) - 1)[faces]
     faces = _position_ids(vertices)[faces]
     size = float(np.linalg.norm(np.ptp(vertices[faces], axis=(0, 1))))
     corners = vertices[faces]

@@ -53,8 +53,8 @@ def untangle(
         vertices: Positions [m].
         faces: Vertex indices.
     """
-    beside = np.flatnonzero(_beside_turned(vertices, faces))
-    tangled = np.unique(faces[beside[self_intersections(vertices, faces[beside])]])
+    suspect = np.flatnonzero(_next_to_turned(vertices, faces))
+    tangled = np.unique(faces[suspect[self_intersections(vertices, faces[suspect])]])
     if not len(tangled):
         return ()
     near = faces[_is_near(vertices, vertices[tangled])[faces].any(axis=1)]
@@ -69,16 +69,34 @@ def untangle(
 
 
 def relaxed(
-    vertices: Float[np.ndarray, "n 3"], patches: tuple[HarmonicPatch, ...]
+    vertices: Float[np.ndarray, "n 3"],
+    patches: tuple[HarmonicPatch, ...],
+    weight: Float[np.ndarray, " n"] | None = None,
+    *,
+    first: int = 0,
 ) -> Float[np.ndarray, "n 3"]:
-    """Vertices with those inside the patches at the means of their neighbors [m]."""
+    """Vertices with those inside the patches at the means of their neighbors [m].
+
+    Args:
+        vertices: Consecutive vertices of the surface [m]; patches that reach beyond them stay.
+        patches: Result of `untangle`.
+        weight: Fraction of the displacement that applies to each vertex; None for all of it.
+        first: Index of the first vertex in the surface.
+    """
     moved = vertices.copy()
     for patch in patches:
-        moved[patch.inside] = patch.weights @ vertices[patch.border]
+        inside, border = patch.inside - first, patch.border - first
+        ends = np.concatenate([inside, border])
+        if ends.min() < 0 or ends.max() >= len(vertices):
+            continue
+        goal = patch.weights @ vertices[border]
+        if weight is not None:
+            goal = vertices[inside] + weight[inside, None] * (goal - vertices[inside])
+        moved[inside] = goal
     return moved
 
 
-def _beside_turned(
+def _next_to_turned(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
 ) -> Bool[np.ndarray, " m"]:
     """Whether each triangle is turned over or has a vertex in common with one that is."""

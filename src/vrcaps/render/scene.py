@@ -153,11 +153,12 @@ def make_villi(
     if settings.light == "direct" or not any(lengths):
         return None
     rest = [0.0] * (256 - len(lengths))
-    width = SLACK_WIDTH if is_slack else 1.0
-    center = interpolate(organ.centerline, organ.arc_length)[0]
-    vertices = np.ascontiguousarray(center + width * (organ.vertices - center))
-    faces = np.asarray(organ.faces, np.int64)
-    spacing = VILLUS_SPACING * width**0.5
+    vertices, faces = np.asarray(organ.vertices, np.float64), np.asarray(organ.faces, np.int64)
+    spacing = VILLUS_SPACING
+    if is_slack:
+        center = interpolate(organ.centerline, organ.arc_length)[0]
+        vertices = center + SLACK_WIDTH * (vertices - center)
+        spacing *= SLACK_WIDTH**0.5
     return Villi((*lengths, *rest), (*gaps, *rest), spacing, vertices, faces)
 
 

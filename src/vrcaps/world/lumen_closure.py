@@ -18,7 +18,7 @@ from vrcaps.core.errors import require
 from vrcaps.core.geometry import fold_profile, smoothstep, transform_points
 from vrcaps.core.rng import stream
 from vrcaps.core.units import MM
-from vrcaps.mesh.untangle import HarmonicPatch, untangle
+from vrcaps.mesh.untangle import HarmonicPatch, relaxed, untangle
 from vrcaps.organ.surface import POCKETS, interpolate
 from vrcaps.organ.waves import sum_waves
 from vrcaps.world.model import Model
@@ -137,16 +137,14 @@ class _Contraction:
     Attributes:
         weight: Fraction of the displacement that applies.
         offset: Offset of the lumen from the centers of the sections at rest [m].
-        radius: Mean radius of the section [m].
-        far: Fraction to which the lumen is a slit, and to which the relief at rest is reduced.
-        folded: Height of the folds relative to its value far from the capsule.
+        away: Distance along the gut from the cylinder of the capsule [m].
+        shell_radius: Radius of the capsule [m].
     """
 
     weight: Float[np.ndarray, " n"]
     offset: Float[np.ndarray, "n 3"]
-    radius: Float[np.ndarray, " n"]
-    far: Float[np.ndarray, " n"]
-    folded: Float[np.ndarray, " n"]
+    away: Float[np.ndarray, " n"]
+    shell_radius: float
 
 
 @dataclass(frozen=True)
@@ -216,17 +214,8 @@ class LumenClosure:
         cylinder = 1.0 - shell_radius / half_length
         low, high = np.interp([-cylinder, cylinder], np.linspace(-1, 1, _NUM_SAMPLES), s_axis)
         away = np.maximum(np.maximum(low - at.s, at.s - high), 0.0)
-        far = smoothstep(away / (_FUNNEL * np.exp(-0.8 * at.tone)))
-        wanted = (1.0 - far) * _PLAY * shell_radius + far * at.radius
-        folded = smoothstep(away / _ONSET)
-        closed = _closed(at, wall, _Contraction(weight, offset, wanted, far, folded))
-        for patch in self._patches:
-            inside, border = patch.inside - near.start, patch.border - near.start
-            ends = np.concatenate([inside, border])
-            if ends.min() >= 0 and ends.max() < len(closed):
-                relaxed = patch.weights @ closed[border]
-                closed[inside] += weight[inside, None] * (relaxed - closed[inside])
-        return moved, closed
+        closed = _closed(at, wall, _Contraction(weight, offset, away, shell_radius))
+        return moved, relaxed(closed, self._patches, weight, first=near.start)
 
     @cached_property
     def _patches(self) -> tuple[HarmonicPatch, ...]:
@@ -235,8 +224,8 @@ class LumenClosure:
         Indices are in the order of arc length.
         """
         order, at, wall = self._sorted
-        one = np.ones(len(order))
-        contraction = _Contraction(1.0 - at.openness, at.sway, at.radius, one, one)
+        away = np.full(len(order), np.inf)
+        contraction = _Contraction(1.0 - at.openness, at.sway, away, self.model.device.radius)
         rank = np.empty_like(order)
         rank[order] = np.arange(len(order))
         return untangle(_closed(at, wall, contraction), rank[self.model.organ.faces])
@@ -357,12 +346,14 @@ def closure_of(model: Model) -> LumenClosure | None:
 
 def _closed(at: _Course, wall: _OpenWall, to: _Contraction) -> Float[np.ndarray, "n 3"]:
     """Positions of vertices after a contraction [m]."""
-    slit = to.far * np.minimum(at.slit, wall.mean)  # less where muscle has contracted the section
+    far = smoothstep(to.away / (_FUNNEL * np.exp(-0.8 * at.tone)))
+    wanted = (1.0 - far) * _PLAY * to.shell_radius + far * at.radius
+    slit = far * np.minimum(at.slit, wall.mean)  # less where muscle has contracted the section
     offset = to.offset + slit[:, None] * along_slit(at, wall.outward)
-    height = np.sqrt(np.maximum(wall.mean**2 - to.radius**2, 0.0)) * _FOLD_SHARE
-    height = np.minimum(height, at.top) * to.folded
-    relief = (1.0 - _SMOOTHED * to.far) * (wall.radius - wall.mean)
-    free = np.minimum(wall.mean, to.radius) + relief - height * at.folds - 0.5 * slit - _LEAST
+    height = np.sqrt(np.maximum(wall.mean**2 - wanted**2, 0.0)) * _FOLD_SHARE
+    height = np.minimum(height, at.top) * smoothstep(to.away / _ONSET)
+    relief = (1.0 - _SMOOTHED * far) * (wall.radius - wall.mean)
+    free = np.minimum(wall.mean, wanted) + relief - height * at.folds - 0.5 * slit - _LEAST
     closed = _LEAST + 0.5 * (free + np.hypot(free, _SOFT))
     closed = wall.radius + to.weight * (np.minimum(closed, wall.radius) - wall.radius)
     return at.center + to.weight[:, None] * offset + closed[:, None] * wall.outward

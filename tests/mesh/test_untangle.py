@@ -64,3 +64,12 @@ def test_weights_are_those_of_a_mean():
 def test_a_sound_sheet_stays():
     assert untangle(*sheet()) == ()
     assert untangle(np.zeros((0, 3)), np.zeros((0, 3), int)) == ()
+
+
+def test_a_surface_with_too_many_vertices_to_move_stays(monkeypatch):
+    vertices, faces = tangled(0)
+    num_inside = sum(len(patch.inside) for patch in untangle(vertices, faces))
+    monkeypatch.setattr("vrcaps.mesh.untangle._MOST", num_inside)
+    assert untangle(vertices, faces)
+    monkeypatch.setattr("vrcaps.mesh.untangle._MOST", num_inside - 1)
+    assert untangle(vertices, faces) == ()

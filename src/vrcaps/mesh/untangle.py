@@ -19,6 +19,8 @@ _NEAR = 8 * MM
 """Distance from an intersection within which triangles are examined while patches grow [m]."""
 _ROUNDS = 8
 """Maximum number of times that patches grow by a ring of vertices."""
+_MOST = 2000
+"""Maximum number of vertices to move; patches are solved as dense systems."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,8 @@ def untangle(
     (Tutte 1963, "How to draw a graph", Proc. London Math. Soc. s3-13:743).
 
     Finds intersections next to triangles that are turned over, by more than 90° from the mean
-    normal of a vertex; not those of distant parts of the surface.
+    normal of a vertex; not those of distant parts of the surface. A surface with more than 2,000
+    vertices to move is not tangled by a few steep folds, and gets no patches.
 
     Args:
         vertices: Positions [m].
@@ -55,12 +58,15 @@ def untangle(
     """
     suspect = np.flatnonzero(_next_to_turned(vertices, faces))
     tangled = np.unique(faces[suspect[self_intersections(vertices, faces[suspect])]])
-    if not len(tangled):
+    if not 0 < len(tangled) <= _MOST:
         return ()
     near = faces[_is_near(vertices, vertices[tangled])[faces].any(axis=1)]
     patches: tuple[HarmonicPatch, ...] = ()
     for _ in range(_ROUNDS):
-        patches = _harmonic_patches(_with_neighbors(tangled, near), vertices, near)
+        inside = _with_neighbors(tangled, near)
+        if len(inside) > _MOST:
+            return ()
+        patches = _harmonic_patches(inside, vertices, near)
         pairs = self_intersections(relaxed(vertices, patches), near)
         if not len(pairs):
             break

@@ -43,6 +43,7 @@ LAYERS = (
     ("tools",),
     ("cockpit",),
     ("cli",),
+    ("__main__",),
 )
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 HEAVY = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -57,6 +58,12 @@ def test_a_misspelled_word_is_said_with_what_was_meant(args, message, capsys) ->
 
 def test_the_version_is_printed(capsys) -> None:
     cli.main(["--version"])
+    assert capsys.readouterr().out == f"vrcaps {vrcaps.__version__}\n"
+
+
+def test_the_package_runs_as_a_module(capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["vrcaps", "--version"])
+    runpy.run_module("vrcaps", run_name="__main__")
     assert capsys.readouterr().out == f"vrcaps {vrcaps.__version__}\n"
 
 

@@ -19,6 +19,7 @@ from vrcaps.core.geometry import (
 )
 from vrcaps.core.units import MM
 from vrcaps.mesh.self_intersection import self_intersections
+from vrcaps.mesh.untangle import HarmonicPatch, relaxed
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.rollout import Rollout
 from vrcaps.organ.surface import CLOSED_RADIUS, POCKETS
@@ -76,28 +77,58 @@ def test_the_lumen_is_closed_before_and_behind_the_capsule(model):
         np.testing.assert_allclose(radius_at(model, vertices, arc_length), RADIUS, rtol=0.02)
 
 
+def assert_outside_shell(model: Model, pose: np.ndarray, vertices: np.ndarray) -> None:
+    """Check that no vertex lies inside the capsule."""
+    device = model.device
+    half = 0.5 * device.length - device.radius
+    local = (vertices - pose[:3, 3]) @ pose[:3, :3]
+    local[:, 2] -= np.clip(local[:, 2], -half, half)
+    assert np.linalg.norm(local, axis=1).min() >= 0.999 * device.radius
+
+
 @pytest.mark.parametrize("tilt", [0.0, 0.4])
 @pytest.mark.parametrize("shift", [0.0, 2 * MM])
 def test_the_shell_stays_inside(model, tilt, shift):
     pose = model.place(100 * MM, angle=tilt).T_world_capsule
     pose[0, 3] += shift
     vertices = closed_wall(model, pose)
-    device = model.device
-    half = 0.5 * device.length - device.radius
-    local = (vertices - pose[:3, 3]) @ pose[:3, :3]
-    local[:, 2] -= np.clip(local[:, 2], -half, half)
-    assert np.linalg.norm(local, axis=1).min() >= 0.999 * device.radius
+    assert_outside_shell(model, pose, vertices)
     assert len(self_intersections(vertices, model.organ.faces)) == 0
 
 
+def tangled(model: Model, vertices: np.ndarray, arc_length: float) -> np.ndarray:
+    """Vertices of a wall, one of which is moved past its neighbors [m]."""
+    vertices = vertices.copy()
+    vertex = int(np.flatnonzero(np.abs(model.organ.arc_length - arc_length) < 0.6 * MM)[7])
+    vertices[vertex] += 2.5 * (vertices[vertex + 48] - vertices[vertex])
+    assert len(self_intersections(vertices, model.organ.faces)) > 0
+    return vertices
+
+
 def test_triangles_that_intersect_in_the_closed_wall_are_relaxed(model):
-    vertices = model.organ.vertices.copy()
-    vertex = int(np.flatnonzero(np.abs(model.organ.arc_length - 130 * MM) < 0.6 * MM)[7])
-    vertices[vertex, 2] += 2.5 * MM
-    tangled = replace(model, organ=replace(model.organ, vertices=vertices))
-    assert len(self_intersections(tangled.vertices_world, tangled.organ.faces)) > 0
-    closed = closed_wall(tangled, tangled.place(100 * MM).T_world_capsule)
-    assert len(self_intersections(closed, tangled.organ.faces)) == 0
+    organ = replace(model.organ, vertices=tangled(model, model.vertices_world, 130 * MM))
+    closed = closed_wall(replace(model, organ=organ), model.place(100 * MM).T_world_capsule)
+    assert len(self_intersections(closed, organ.faces)) == 0
+
+
+@pytest.mark.parametrize(("arc_length", "is_near"), [(85 * MM, True), (150 * MM, False)])
+def test_triangles_that_intersect_next_to_the_capsule_are_relaxed(model, arc_length, is_near):
+    pose, faces = model.place(100 * MM, angle=0.2).T_world_capsule, model.organ.faces
+    closure = closure_of(model)
+    assert closure is not None
+    vertices = tangled(model, closed_wall(model, pose), arc_length)
+    patches = closure.patches_near(vertices, pose, 0.5 * model.device.length)
+    assert len(patches) == is_near
+    assert (len(self_intersections(relaxed(vertices, patches), faces)) == 0) == is_near
+
+
+def test_the_wall_yields_again_where_it_is_relaxed(model, monkeypatch):
+    pose = model.place(100 * MM, angle=0.2).T_world_capsule
+    within = np.flatnonzero(np.abs(model.organ.arc_length - 100 * MM) < 3 * MM)
+    border = within[:1]
+    patch = HarmonicPatch(within[1:], border, np.ones((len(within) - 1, 1)))
+    monkeypatch.setattr(LumenClosure, "patches_near", lambda *_: (patch,))
+    assert_outside_shell(model, pose, closed_wall(model, pose))
 
 
 @pytest.mark.parametrize("factor", [0.7, 0.9, 1.1])

@@ -37,15 +37,44 @@ def vertex_normals(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
 ) -> Float[np.ndarray, "n 3"]:
     """Unit vertex normals: the area-weighted mean of the normals of adjacent faces."""
-    area_normals = triangle_normals(vertices[faces])
-    normals = np.zeros_like(vertices)
-    for axis in range(3):
-        normals[:, axis] = sum(
-            np.bincount(faces[:, corner], area_normals[:, axis], len(vertices))
-            for corner in range(3)
-        )
+    normals = sums_at_vertices(triangle_normals(vertices[faces]), faces, len(vertices))
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return normals / np.where(length > 0.0, length, 1.0)
+
+
+def sums_at_vertices(
+    vectors: Float[np.ndarray, "m 3"], faces: Int[np.ndarray, "m 3"], count: int
+) -> Float[np.ndarray, "n 3"]:
+    """Sum of a vector per face over the faces at each vertex.
+
+    Args:
+        vectors: Vector of each face.
+        faces: Vertex indices.
+        count: Number of vertices.
+    """
+    sums = np.zeros((count, 3))
+    for axis in range(3):
+        sums[:, axis] = sum(
+            np.bincount(faces[:, corner], vectors[:, axis], count) for corner in range(3)
+        )
+    return sums
+
+
+def used_vertices(
+    faces: Int[np.ndarray, "m 3"], count: int
+) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, "m 3"]]:
+    """Indices of the vertices in use, and faces that refer to these alone.
+
+    Args:
+        faces: Vertex indices.
+        count: Number of vertices.
+    """
+    is_used = np.zeros(count, bool)
+    is_used[faces] = True
+    used = np.flatnonzero(is_used)
+    index = np.empty(count, int)
+    index[used] = np.arange(len(used))
+    return used, index[faces]
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.core.geometry import cross_products, triangle_normals
+from vrcaps.mesh.mesh import used_vertices
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -35,9 +36,8 @@ def self_intersections(
     """
     if not len(faces):
         return np.zeros((0, 2), int)
-    is_used = np.zeros(len(vertices), bool)
-    is_used[faces] = True
-    vertices, faces = vertices[is_used], (np.cumsum(is_used) - 1)[faces]
+    used, faces = used_vertices(faces, len(vertices))
+    vertices = vertices[used]
     faces = _position_ids(vertices)[faces]
     size = float(np.linalg.norm(np.ptp(vertices[faces], axis=(0, 1))))
     corners = vertices[faces]
@@ -50,9 +50,12 @@ def self_intersections(
         chunk, shared = chunk[shared < 2], shared[shared < 2]
         return chunk[_is_cut(corners, normals, chunk, shared, _FLAT * size)]
 
-    with ThreadPoolExecutor(_core.num_threads()) as threads:
-        parts = list(threads.map(cut, np.array_split(pairs, len(pairs) // _CHUNK + 1)))
-    pairs = np.concatenate(parts)
+    if len(pairs) <= _CHUNK:
+        pairs = cut(pairs)
+    else:
+        with ThreadPoolExecutor(_core.num_threads()) as threads:
+            parts = list(threads.map(cut, np.array_split(pairs, len(pairs) // _CHUNK + 1)))
+        pairs = np.concatenate(parts)
     return pairs[np.lexsort(pairs.T[::-1])]
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.geometry import edge_graph, triangle_normals, unit
+from vrcaps.core.geometry import edge_graph, triangle_normals
 from vrcaps.core.units import MM
-from vrcaps.mesh.mesh import vertex_normals
+from vrcaps.mesh.mesh import sums_at_vertices, used_vertices
 from vrcaps.mesh.self_intersection import self_intersections
 
 if TYPE_CHECKING:
@@ -56,6 +56,17 @@ def untangle(
         vertices: Positions [m].
         faces: Vertex indices.
     """
+    used, faces = used_vertices(faces, len(vertices))
+    patches = _patches(vertices[used], faces)
+    return tuple(
+        replace(patch, inside=used[patch.inside], border=used[patch.border]) for patch in patches
+    )
+
+
+def _patches(
+    vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
+) -> tuple[HarmonicPatch, ...]:
+    """Patches that remove the self-intersections of a surface."""
     suspect = np.flatnonzero(_next_to_turned(vertices, faces))
     tangled = np.unique(faces[suspect[self_intersections(vertices, faces[suspect])]])
     if not 0 < len(tangled) <= _MOST:
@@ -106,11 +117,13 @@ def _next_to_turned(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
 ) -> Bool[np.ndarray, " m"]:
     """Whether each triangle is turned over or has a vertex in common with one that is."""
-    normals = unit(triangle_normals(vertices[faces]))
-    at_vertex = vertex_normals(vertices, faces)
-    facing = [np.einsum("ij,ij->i", normals, at_vertex[faces[:, corner]]) for corner in range(3)]
+    normals = triangle_normals(vertices[faces])
+    at_vertex = sums_at_vertices(normals, faces, len(vertices))
+    is_turned = np.zeros(len(faces), bool)
+    for corner in range(3):
+        is_turned |= np.einsum("ij,ij->i", normals, at_vertex[faces[:, corner]]) < 0.0
     touched = np.zeros(len(vertices), bool)
-    touched[faces[np.min(facing, axis=0) < 0.0]] = True
+    touched[faces[is_turned]] = True
     return np.asarray(touched[faces].any(axis=1))
 
 

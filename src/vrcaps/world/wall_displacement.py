@@ -10,6 +10,7 @@ import numpy as np
 
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import invert, rotate_vectors, smoothstep, transform_points
+from vrcaps.mesh.untangle import relaxed
 from vrcaps.world.lumen_closure import LumenClosure, closure_of
 from vrcaps.world.model import Model, State
 
@@ -46,8 +47,7 @@ class WallDisplacement:
         """Vertices of the displaced wall [m]; None for a wall at rest."""
         low, high, least = self._axis(T_world_capsule)
         if self.closure is not None:
-            wall = self._closed(self.closure, T_world_capsule)
-            return self._yielding(wall, T_world_capsule, (low, high), None)
+            return self._closed(self.closure, T_world_capsule, (low, high))
         if least >= self.model.device.radius:
             return None
         vertices, moved = self.shown.vertices_world.copy(), np.empty(0, int)
@@ -66,24 +66,34 @@ class WallDisplacement:
             T_world_capsule: Pose of the capsule.
             vertices_world: Vertices of the wall that the mechanics have moved [m].
         """
-        wall = self._closed(closure, T_world_capsule, vertices_world)
         half = float(self.model.axis_coordinates[-1])
-        return self._yielding(wall, T_world_capsule, (-half, half), None)
+        return self._closed(closure, T_world_capsule, (-half, half), vertices_world)
 
     def _closed(
         self,
         closure: LumenClosure,
         T_world_capsule: Float[np.ndarray, "4 4"],
+        ends: tuple[float, float],
         vertices_world: Float[np.ndarray, "n 3"] | None = None,
-    ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " k"]]:
-        """Vertices after the closure, and which of them it has moved."""
-        device = self.model.device
-        size = device.length / 2.0, device.radius
-        moved, closed = closure.close(T_world_capsule, *size, vertices_world)
+    ) -> Float[np.ndarray, "n 3"]:
+        """Vertices after the closure, off the shell and without intersecting folds [m].
+
+        Args:
+            closure: Closure of the slack lumen.
+            T_world_capsule: Pose of the capsule.
+            ends: Part of the body's axis in the lumen [m].
+            vertices_world: Vertices of the wall before it closes [m]; None is the wall at rest.
+        """
+        half, radius = self.model.device.length / 2.0, self.model.device.radius
+        moved, closed = closure.close(T_world_capsule, half, radius, vertices_world)
         at_rest = self.shown.vertices_world
         vertices = (at_rest if vertices_world is None else vertices_world).copy()
         vertices[moved] = closed
-        return vertices, moved
+        vertices = self._yielding((vertices, moved), T_world_capsule, ends, None)
+        patches = closure.patches_near(vertices, T_world_capsule, half)
+        if not patches:
+            return vertices
+        return self._yielding((relaxed(vertices, patches), moved), T_world_capsule, ends, None)
 
     @cached_property
     def closure(self) -> LumenClosure | None:

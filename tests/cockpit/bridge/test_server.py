@@ -12,13 +12,15 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from socket import SO_SNDBUF, SOL_SOCKET
+from typing import Any
 
 import pytest
 
 from tests.support.cockpit_browser import free_port
 from tests.support.programs import run_program
 from tests.support.waiting import WATCHDOG, wait_until
-from vrcaps.cockpit.bridge.server import BridgeServer
+from vrcaps.cockpit.bridge.server import BridgeServer, _Client
 from vrcaps.cockpit.bridge.simulation import LiveSimulation, open_bridge
 from vrcaps.scenario.scenario import scenario_to_plain
 
@@ -166,6 +168,7 @@ def test_a_client_that_floods_is_disconnected_and_the_others_stay(port, client, 
 @pytest.mark.slow
 def test_a_client_that_takes_no_data_does_not_slow_the_world(scenario, told, monkeypatch):
     """Its messages are dropped, then its connection."""
+    monkeypatch.setattr("vrcaps.cockpit.bridge.server._Client", SmallBuffer)
     monkeypatch.setattr("vrcaps.cockpit.bridge.server._SEND_TIMEOUT", 0.5)
     told.clear()
     simulation = LiveSimulation(scenario, real_time_factor=0.0, is_paused=True)
@@ -180,6 +183,15 @@ def test_a_client_that_takes_no_data_does_not_slow_the_world(scenario, told, mon
             assert client.step(50)[-1]["result"]
             steps += 50
         assert re.fullmatch(r"Client 1 was disconnected: it takes no data\.", told[0])
+
+
+class SmallBuffer(_Client):
+    """Client to which the system takes few bytes that it has not read: after few steps, no more."""
+
+    def __init__(self, client_id: int, socket: Any) -> None:
+        super().__init__(client_id, socket)
+        raw = socket.transport.get_extra_info("socket")
+        raw.setsockopt(SOL_SOCKET, SO_SNDBUF, 4096)
 
 
 def raw_client(port: int):

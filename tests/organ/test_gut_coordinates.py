@@ -90,7 +90,14 @@ def test_theta_turns_from_first_to_second_axis():
     assert theta[-1] == pytest.approx(np.pi / 2, abs=1e-6)
 
 
-@pytest.mark.parametrize("name", ["colon_GI1_mm", "stomach_A_mm", "stomach_C_mm"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("colon_GI1_mm", marks=pytest.mark.validation),
+        pytest.param("stomach_A_mm", marks=pytest.mark.validation),
+        "stomach_C_mm",
+    ],
+)
 def test_real_organ_is_continuous(real_organ, name):
     mesh = real_organ(name)
     line, arc_length, theta, radius = mesh.centerline, mesh.arc_length, mesh.theta, mesh.radius

@@ -101,7 +101,10 @@ def test_written_organ_comes_back(tube, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "length_mm"),
-    [("colon_GI1_mm", (800, 2500)), ("stomach_C_mm", (50, 200))],
+    [
+        pytest.param("colon_GI1_mm", (800, 2500), marks=pytest.mark.validation),
+        ("stomach_C_mm", (50, 200)),
+    ],
 )
 def test_real_organs(real_organ, name, length_mm):
     organ = real_organ(name)

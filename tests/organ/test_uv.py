@@ -122,7 +122,14 @@ def test_atlas_is_reproducible():
     np.testing.assert_array_equal(first, second)
 
 
-@pytest.mark.parametrize("name", ["colon_GI1_mm", "stomach_A_mm", "stomach_C_mm"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("colon_GI1_mm", marks=pytest.mark.validation),
+        pytest.param("stomach_A_mm", marks=pytest.mark.validation),
+        "stomach_C_mm",
+    ],
+)
 def test_real_organs(real_organ, name):
     organ = real_organ(name)
     assert_good_atlas(organ.vertices, organ.faces, organ.uv, spread=1.6)

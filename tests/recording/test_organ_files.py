@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.coarse_organs import TEXELS_PER_MM
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.errors import InputError
 from vrcaps.lesion import parse_lesion
@@ -84,8 +85,9 @@ def test_what_an_organ_file_cannot_do(plan: Scenario, change: dict, message: str
 
 @pytest.mark.slow
 def test_without_textures_it_wears_the_mucosa_of_its_label(
-    plan: Scenario, organ: OrganSurface, tmp_path: Path
+    plan: Scenario, organ: OrganSurface, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("vrcaps.mucosa.bake.DEFAULT_TEXELS_PER_MM", TEXELS_PER_MM)
     names = ("background", "small_bowel", "duodenum")
     write_organ(tmp_path / "mine.glb", replace(organ, label_names=names, appearance=None))
     model, _ = build(plan)

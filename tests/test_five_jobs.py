@@ -12,6 +12,7 @@ import pytest
 import trimesh
 
 import vrcaps
+from tests.support.coarse_organs import ATLAS
 from tests.support.tubes import straight_gut
 from vrcaps.organ.read_organ import read_organ
 
@@ -34,6 +35,7 @@ def run(program: str) -> dict[str, Any]:
 @pytest.fixture
 def folder(tmp_path: Path, coarse_organs: None, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("vrcaps.organ.uv._RESOLUTION", ATLAS)
     return tmp_path
 
 

@@ -49,15 +49,11 @@ def named(lesion):
     return f"{lesion.kind} {lesion.grade}".strip()
 
 
-@pytest.fixture(scope="module")
-def patients(tube):
+@pytest.mark.parametrize("lesion", ONE_OF_EACH, ids=named)
+def test_every_kind(tube, lesion):
     bare = replace(tube, appearance=None)
-    return [add_lesions(bare, [lesion], np.random.default_rng(5)) for lesion in ONE_OF_EACH]
-
-
-@pytest.mark.parametrize("index", range(len(ONE_OF_EACH)), ids=map(named, ONE_OF_EACH))
-def test_every_kind(patients, tube, index):
-    organ, clean = patients[index].organ, patients[index].clean
+    patient = add_lesions(bare, [lesion], np.random.default_rng(5))
+    organ, clean = patient.organ, patient.clean
     assert np.isfinite(organ.vertices).all()
     assert np.array_equal(organ.faces, clean.faces)
     counts = find_edges(organ.faces).counts
@@ -69,7 +65,7 @@ def test_every_kind(patients, tube, index):
     assert np.array_equal(organ.vertices[~inside], clean.vertices[~inside])
     assert np.array_equal(clean.vertices[: len(tube.vertices)], tube.vertices)
     (record,) = json.loads(json.dumps(organ.metadata["lesions"]))
-    assert (record["instance"], record["kind"]) == (1, ONE_OF_EACH[index].kind)
+    assert (record["instance"], record["kind"]) == (1, lesion.kind)
     assert record["arc_length_m"] == pytest.approx(80.0 * MM, abs=3.0 * MM)
     assert record["segment"] in ("upper", "lower")
 

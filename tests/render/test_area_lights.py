@@ -288,15 +288,15 @@ def test_a_large_image_is_that_of_its_parts(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(part[32:-32], whole[320:896], rtol=1e-3, atol=1e-6 * whole.max())
 
 
-def _scene() -> tuple[Model, Camera, State]:
+def _scene(size: int) -> tuple[Model, Camera, State]:
     organ = tube(40, 60, folds=0.4, capped=True, appearance=patterned(np.random.default_rng(5)))
-    camera = make_camera(pinhole(180), leds=_ring())
+    camera = make_camera(pinhole(size), leds=_ring())
     return make_model(organ, camera), camera, looking((0.004, -0.003, 0.05))
 
 
 def digest() -> str:
     """Checksum of images with soft shadows, in both orders."""
-    model, camera, state = _scene()
+    model, camera, state = _scene(96)
     out = b""
     for settings in (SHADED, RenderSettings(), RenderSettings(light="path", spp=2, max_bounces=2)):
         renderer = Renderer(model, settings)
@@ -316,7 +316,7 @@ def test_same_bytes_for_any_number_of_threads() -> None:
 
 
 def test_a_batch_has_the_bytes_of_single_images() -> None:
-    model, camera, state = _scene()
+    model, camera, state = _scene(180)
     renderer = Renderer(model, SHADED)
     pose = state.T_world_capsule @ camera.T_capsule_camera
     batch = render_batch([renderer], pose[None], camera, ("rgb", "radiance"))

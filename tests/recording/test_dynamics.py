@@ -36,7 +36,7 @@ MOTION = Dynamics(
     drag=Drag(viscosity=1.0),
     wrenches=(Wrench(force=(0.0, 0.0, 0.05)),),
     wrench_frame="gut",
-    posture_changes=(PostureChange("left-lateral", time=0.2, duration=0.5),),
+    posture_changes=(PostureChange("left-lateral", time=0.1, duration=0.25),),
     insufflation=(Insufflation(factor=0.7),),
     settle=0.2,
     substep=1e-3,
@@ -95,13 +95,13 @@ def complete_frames(out: Path) -> set[int]:
 
 @pytest.fixture
 def simulated(scenario: Scenario) -> Scenario:
-    return replace(scenario, motion=MOTION, frames=6, fps=5.0, wall=True)
+    return replace(scenario, motion=MOTION, frames=6, fps=10.0, wall=True)
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory, base_scenario, organ) -> Path:
     """The scenario recorded in one go."""
-    given = replace(base_scenario, motion=MOTION, frames=6, fps=5.0, wall=True)
+    given = replace(base_scenario, motion=MOTION, frames=6, fps=10.0, wall=True)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(OrganSource, "load_healthy", lambda _: organ)
         return record(given, tmp_path_factory.mktemp("simulated") / "episode")
@@ -216,9 +216,9 @@ def test_a_broken_off_simulation_goes_on_from_its_checkpoint(
     record(simulated, out, simulated=lambda time, whole: times.append((time, whole)))
     assert digests(out) == digests(whole)
     assert rendered == [frame for frame in range(6) if frame not in complete]
-    first = found.motion.frame / 5.0 + 0.2
+    first = found.motion.frame / 10.0 + 0.2
     assert (min(times)[0] > first) == (missing is None)
-    assert max(times) == pytest.approx((1.2, 1.2))
+    assert max(times) == pytest.approx((0.7, 0.7))
 
 
 @pytest.mark.slow
@@ -232,7 +232,7 @@ def test_automatic_exposure_goes_on_from_a_checkpoint(simulated, tmp_path):
     found = broken_off(given, broken)
     times = []
     record(given, broken, simulated=lambda time, _: times.append(time))
-    assert min(times) > found.motion.frame / 5.0 + 0.2
+    assert min(times) > found.motion.frame / 10.0 + 0.2
     assert digests(broken) == digests(straight)
 
 

@@ -221,8 +221,8 @@ def test_clean_twin_has_the_same_motion(scenario, tmp_path, monkeypatch):
     monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path))
     lesions = (Polyp(size=6e-3, location=Location(arc_length=0.12)),)
     sick = replace(scenario, lesions=lesions)
+    twin, same = build(replace(sick, clean_twin=True))  # lesions are added once for both
     model, trajectory = build(sick)
-    twin, same = build(replace(sick, clean_twin=True))
     assert np.array_equal(trajectory.Ts_world_capsule, same.Ts_world_capsule)
     assert np.array_equal(model.organ.faces, twin.organ.faces)
     assert model.organ.instance.max() == 1

@@ -204,7 +204,7 @@ class Make:
         patient = OrganGenerated(self.name, self.seed, self.distension, self.mucosa)
         scenario = Scenario(organ=patient, lesions=lesions, posture=self.posture, variation=False)
         organ = resolve(scenario).organ
-        return organ.load(), organ.load(clean=True) if self.clean_twin else None
+        return organ.load_pair() if self.clean_twin else (organ.load(), None)
 
 
 def report_organ(organ: OrganSurface, picture: Path) -> None:

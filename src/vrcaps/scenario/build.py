@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,7 @@ from vrcaps.config.convert import to_plain
 from vrcaps.core.errors import InputError, require_extra
 from vrcaps.core.fields import path_of, with_checksums
 from vrcaps.core.units import LENGTH_UNITS
-from vrcaps.lesion import Lesion, add_lesions, lesion_rng
+from vrcaps.lesion import Lesion, LesionPair, add_lesions, lesion_rng
 from vrcaps.lesion.placement import require_possible
 from vrcaps.mucosa.mucosa import MucosaSettings
 from vrcaps.organ.organ_file import is_organ_file
@@ -109,16 +110,15 @@ def build(scenario: Scenario | ResolvedScenario) -> tuple[Model, Motion]:
     """
     resolved = resolve(scenario) if isinstance(scenario, Scenario) else scenario
     scenario, effects = resolved.given, resolved.given.effects
-    organ = effects.organ(resolved.organ.load())
+    source = resolved.organ
+    organ, clean = source.load_pair() if scenario.clean_twin else (source.load(), None)
     model = Model(
-        organ,
+        effects.organ(organ),
         resolved.device,
         posture_transform(scenario.posture),
         effects.contents(scenario.contents),
     )
-    rendered = model
-    if scenario.clean_twin:
-        rendered = replace(model, organ=effects.organ(resolved.organ.load(clean=True)))
+    rendered = model if clean is None else replace(model, organ=effects.organ(clean))
     motion = scenario.motion.begin(
         model, frames=scenario.frames, fps=resolved.fps, seed=scenario.seed, shown=rendered
     )
@@ -149,14 +149,33 @@ class OrganSource:
         Raises:
             InputError: If the organ cannot be generated or read, or a lesion does not fit in it.
         """
-        from vrcaps.organ.cache import cached_organ, fingerprint
-
         if not self.lesions:
             return self._require_clean(self.load_healthy()) if clean else self.load_healthy()
+        return self._load(self._with_lesions, clean=clean)
+
+    def load_pair(self) -> tuple[OrganSurface, OrganSurface]:
+        """Organ with its lesions and its clean twin; lesions are added once for both.
+
+        Raises:
+            InputError: As `load`.
+        """
+        if not self.lesions:
+            organ = self.load(clean=True)
+            return organ, organ
+        make = cache(self._with_lesions)
+        return self._load(make, clean=False), self._load(make, clean=True)
+
+    def _load(self, make: Callable[[], LesionPair], *, clean: bool) -> OrganSurface:
+        """Organ with its lesions or clean twin, from the cache or from the pair."""
+        from vrcaps.organ.cache import cached_organ, fingerprint
+
+        def made() -> OrganSurface:
+            return make().clean if clean else make().organ
+
         if isinstance(self.given, OrganGenerated):  # check before minutes of work
             require_possible(self.lesions, _max_diameter(self.given))
         if isinstance(self.given, OrganSurface):
-            return self._with_lesions(clean=clean)
+            return made()
         key = {
             "lesions": to_plain(self.lesions, tuple[Lesion, ...]),
             "organ": asdict(self.given),
@@ -164,7 +183,7 @@ class OrganSource:
             "seed": self._lesion_seed,
             "clean": clean,
         }
-        return cached_organ(f"lesions-{fingerprint(key)}", lambda: self._with_lesions(clean=clean))
+        return cached_organ(f"lesions-{fingerprint(key)}", made)
 
     def load_healthy(self) -> OrganSurface:
         """Organ with its appearance, without the lesions to add.
@@ -203,14 +222,13 @@ class OrganSource:
         look = bake_appearance(organ, seed=self.seed, mucosa=mucosa or own)
         return replace(organ, appearance=look)
 
-    def _with_lesions(self, *, clean: bool) -> OrganSurface:
-        """Organ with the lesions, or the same organ before they are added."""
+    def _with_lesions(self) -> LesionPair:
+        """Organ with the lesions, and the same organ before they are added."""
         require_extra("lesions", "potpourri3d")
         rng, organ = lesion_rng(self._lesion_seed), self.load_healthy()
         if organ.metadata.get("lesions"):
             raise InputError(f"{organ.name} has lesions already. Give none, or its clean twin.")
-        patient = add_lesions(organ, self.lesions, rng, down=self._down)
-        return patient.clean if clean else patient.organ
+        return add_lesions(organ, self.lesions, rng, down=self._down)
 
     @property
     def _lesion_seed(self) -> int:

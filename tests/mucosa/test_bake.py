@@ -304,11 +304,11 @@ def test_relief_has_the_slope_it_is_given(tube):
     assert slope == pytest.approx(0.1 * np.hypot(np.hypot(0.7, 1.0), 1.0), rel=0.25)
 
 
-@pytest.mark.parametrize("breaks", [0.0, 0.6])
+@pytest.mark.parametrize("breaks", [0.0, 0.6, 1.0])
 def test_villi_agree_with_their_readable_twin(breaks):
     """Height = depth · S((d₂ − d₁) / 0.38) with d to the cells' points, at the wound place.
 
-    Breaks lengthen the cells in one direction, and scale differences from the mean by noise.
+    Breaks blend it with strokes: positive noise, stretched in one direction.
     """
     side, seed, spacing, slope = 6.0 * MM, 9, 0.5 * MM, 0.2
     mucosa = Mucosa(
@@ -332,13 +332,14 @@ def test_villi_agree_with_their_readable_twin(breaks):
     wind += 0.2 * displacement(31 * seed + 8, 1.1, point)
     turn = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
     place = (point + wind * [1.0, 1.0, 0.0]) @ turn.T
-    leaf, ridge = 1.0 + 1.2 * breaks, np.array([0.48, 0.64, 0.6])
+    ridge = np.array([0.48, 0.64, 0.6])
     along = (place @ ridge)[:, None] * ridge
-    cells = leaf**0.5 * (place - along) + leaf**-0.5 * along
-    t = np.clip(cell_border(seed ^ 0x70697473, spacing / MM, cells) / 0.38, 0.0, 1.0)
-    noise = gradient_noise(31 * seed + 22, 1.3 * spacing / MM, place)
-    depth = np.clip(1.0 + breaks / 0.76 * noise, 0.0, 2.0)
-    expected = slope * spacing / 3.5 * (0.62 + depth * (t * t * (3.0 - 2.0 * t) - 0.62))
+    stretched = 3.5**0.5 * (place - along) + 3.5**-0.5 * along
+    gap = cell_border(seed ^ 0x70697473, spacing / MM, place) / 0.38
+    stroke = gradient_noise(31 * seed + 22, spacing / MM, stretched) / 1.4
+    gap, stroke = (t * t * (3.0 - 2.0 * t) for t in np.clip([gap, stroke], 0.0, 1.0))
+    plateau = 0.62 + (1.0 - breaks) * (gap - 0.62) - breaks * (stroke - 0.2)
+    expected = slope * spacing / 3.5 * plateau
     np.testing.assert_allclose(
         height[pixels[:, 0], pixels[:, 1]], expected, rtol=0.0, atol=1e-3 * slope * spacing
     )

@@ -3,6 +3,7 @@
 pub mod grid;
 pub(crate) mod noise;
 mod raster;
+pub(crate) mod strokes;
 pub(crate) mod tissue;
 mod vessels;
 

@@ -1,7 +1,8 @@
 //! Mucosa as a solid texture: color, roughness and relief at a point of the wall.
 
 use super::grid::{Blood, SegmentGrid};
-use super::noise::{Cells, DEVIATION, Lattice, Vec3, exp, smoothstep, uniform};
+use super::noise::{Cells, Lattice, Vec3, exp, smoothstep, uniform};
+use super::strokes::Strokes;
 use crate::simd::f32x64::{LANES, Lane, Lane3, add, at, clamp, dot, max, min, scale};
 use pyo3::prelude::*;
 
@@ -60,7 +61,7 @@ struct Structure {
     grain: Lane,
     /// Network of the finest vessels, with approximately zero mean.
     mesh: Lane,
-    /// Height of the plateaus between pits: 1 on villi or areae, about 0 in the gaps between them.
+    /// Height of the plateaus between pits or strokes: 1 on areae, about 0 in the gaps between them.
     plateau: Lane,
     /// Level of the field that controls the film of mucus.
     level: Lane,
@@ -92,43 +93,8 @@ const UNIT_SLOPE: f32 = 3.3;
 const PLATEAU_SLOPE: f32 = 3.5;
 
 /// Mean height of the plateaus, and width of the gaps between them in spacings.
-pub const PLATEAU: f32 = 0.62;
+const PLATEAU: f32 = 0.62;
 const GAP: f32 = 0.38;
-
-/// Height of the plateaus at a distance from the border between them, see `Cells::borders`.
-#[inline(always)]
-pub fn plateau(border: f32) -> f32 {
-    smoothstep(0.0, GAP, border)
-}
-
-/// Distance over which the depth of gaps varies [spacings of pits]: gaps break into dashes.
-pub const BREAK: f32 = 1.3;
-
-/// Direction in which dashes are longer, and their length relative to their distance: villi of the
-/// upper small bowel are leaves and ridges side by side. Seen along it, they are as wide as long.
-const RIDGE: Vec3 = [0.48, 0.64, 0.6];
-pub const LEAF: f32 = 2.2;
-
-/// Points in a space in which leaves, `leaf` times as long as wide, are cells of equal area.
-#[inline(always)]
-pub fn leaf_space(p: &Lane3, leaf: f32) -> Lane3 {
-    let (across, change) = (leaf.sqrt(), 1.0 / leaf.sqrt() - leaf.sqrt());
-    let mut result = [[0.0; LANES]; 3];
-    for i in 0..LANES {
-        let point = at(p, i);
-        let along = change * dot(point, RIDGE);
-        for k in 0..3 {
-            result[k][i] = across * point[k] + along * RIDGE[k];
-        }
-    }
-    result
-}
-
-/// Factor on the depth of a gap, given noise and its relative deviation; its mean is about 1.
-#[inline(always)]
-pub fn broken(noise: f32, deviation: f32) -> f32 {
-    clamp(1.0 + deviation / DEVIATION * noise, 0.0, 2.0)
-}
 
 /// Spacing of the possible positions of flecks of mucus [mm], and radii of flecks in spacings.
 const FLECK_SPACING: f32 = 3.2;
@@ -172,7 +138,7 @@ pub struct Tissue {
     warps: [Lattice; 2],
     bumps: [Lattice; 3],
     pits: Cells,
-    breaks: Lattice,
+    strokes: Strokes,
     flecks: Cells,
 }
 
@@ -200,7 +166,7 @@ impl Tissue {
             warps: [noise(7, 3.1), noise(8, 1.1)],
             bumps: BUMPS.map(|(size, _)| noise(9 + size as u32, size)),
             pits: Cells::new(seed ^ 0x7069_7473, mucosa.pit_spacing * 1e3),
-            breaks: noise(22, BREAK * mucosa.pit_spacing * 1e3),
+            strokes: Strokes::new(seed.wrapping_mul(31).wrapping_add(22), mucosa.pit_spacing * 1e3),
             flecks: Cells::new(seed ^ 0x6d75_6375, FLECK_SPACING),
         }
     }
@@ -216,12 +182,6 @@ impl Tissue {
     fn pit_height(&self) -> f32 {
         let pits = self.mucosa.pit_spacing * 1e3;
         self.mucosa.pit_slope * pits / PLATEAU_SLOPE * self.resolved(pits)
-    }
-
-    /// Length of villi relative to their width.
-    #[inline(always)]
-    fn leaf(&self) -> f32 {
-        1.0 + (LEAF - 1.0) * self.mucosa.pit_breaks
     }
 
     /// Mucosa without any detail.
@@ -297,17 +257,9 @@ impl Tissue {
     fn structure(&self, p: &Lane3, fine: &Lane3) -> Structure {
         let (mottle, grain) = (self.mottle.gradients(p), self.grain.gradients(p));
         let film = self.film.gradients(p);
-        let (mut level, mut plateau) = (film, self.pits.borders(&leaf_space(fine, self.leaf())));
+        let mut level = film;
         for i in 0..LANES {
             level[i] += 0.5 * mottle[i];
-            plateau[i] = self::plateau(plateau[i]);
-        }
-        if self.mucosa.pit_breaks > 0.0 {
-            let noise = self.breaks.gradients(fine);
-            for i in 0..LANES {
-                let depth = broken(noise[i], self.mucosa.pit_breaks);
-                plateau[i] = PLATEAU + (plateau[i] - PLATEAU) * depth;
-            }
         }
         let mut cover = self.mucus(fine, &level, &grain);
         for i in 0..LANES {
@@ -317,12 +269,32 @@ impl Tissue {
             patch: self.patch.gradients(p),
             mesh: self.capillary_mesh(fine),
             relief: self.relief(p),
-            plateau,
+            plateau: self.plateaus(fine),
             cover,
             mottle,
             grain,
             level,
         }
+    }
+
+    /// Height of the plateaus: those between a network of gaps, those between strokes, or a blend.
+    #[inline(always)]
+    fn plateaus(&self, p: &Lane3) -> Lane {
+        let breaks = self.mucosa.pit_breaks;
+        let mut height = [PLATEAU; LANES];
+        if breaks < 1.0 {
+            let borders = self.pits.borders(p);
+            for i in 0..LANES {
+                height[i] += (1.0 - breaks) * (smoothstep(0.0, GAP, borders[i]) - PLATEAU);
+            }
+        }
+        if breaks > 0.0 {
+            let depths = self.strokes.depths(p);
+            for i in 0..LANES {
+                height[i] -= breaks * depths[i];
+            }
+        }
+        height
     }
 
     #[inline(always)]

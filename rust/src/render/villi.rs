@@ -1,14 +1,14 @@
 //! Villi: gaps between those seen from above, and a fringe of those at the outlines of folds.
 //!
 //! The wall of the scene ends at the bases of the villi. Seen from above, the gaps between them are
-//! darker, in more detail than a texture of a whole gut could hold; they fade where pixels do not
-//! resolve them. Along an outline villi are seen from the side: a pixel behind it within the length
-//! of a villus takes the radiance of the wall at the nearest pixel of the outline. Gaps and lengths
-//! vary with cells on one shape of the wall, so villi stay in their places while the wall moves.
+//! dark strokes, in more detail than a texture of a whole gut could hold; they fade where pixels do
+//! not resolve them. Along an outline villi are seen from the side: a pixel behind it within the
+//! length of a villus takes the radiance of the wall at the nearest pixel of the outline. Strokes and
+//! lengths are fixed to one shape of the wall, so villi stay in their places while the wall moves.
 //! Only radiance changes; depth and labels are those of the wall.
 
 use crate::mucosa::noise::{Cells, DEVIATION, Lattice, Vec3, exp, smoothstep};
-use crate::mucosa::tissue::{BREAK, LEAF, PLATEAU, broken, leaf_space, plateau};
+use crate::mucosa::strokes::{LEAF, Strokes, leaf_space};
 use crate::pool::on_pool;
 use crate::simd::f32x64::{LANES, clamp, dot, max, min, sub};
 use numpy::ndarray::{ArrayView2, ArrayViewMut3, Axis};
@@ -29,8 +29,11 @@ const RESOLVED: [f32; 2] = [1.1, 1.9];
 /// Ratio of the sides of a pixel on that shape of the wall up to which gaps are invisible, and from
 /// which they are drawn fully: where a wall is gathered or pulled, gaps would be streaks.
 const ROUND: [f32; 2] = [0.25, 0.5];
-/// Relative standard deviation of the depth of gaps.
-const UNEVEN: f32 = 0.6;
+/// Size of the strokes between villi [spacings of villi].
+const STROKES: f32 = 1.2;
+/// Density of gaps in a wall that faces the camera, relative to one seen aslant: the LEDs are next to
+/// the camera and light the ground of the former, by assumption.
+const FACING: f32 = 0.6;
 /// Optical density of a gap in red, green and blue relative to green.
 const GAP_COLOR: [f32; 3] = [0.7, 1.0, 1.1];
 /// Relative length in the gaps between villi, and difference of the distances to the nearest two
@@ -109,7 +112,7 @@ pub fn raise_villi(
         (planes.as_array_mut(), wall.0.as_array(), wall.1.as_array());
     on_pool(py, || {
         let places = seen.places(vertices, faces)?;
-        seen.shade(&places, &mut image, spacing);
+        seen.shade(&places, &mut image, spacing, focal);
         let outlines = seen.grow(&seen.outlines(), &places, spacing, focal);
         seen.paint(&outlines, &mut image);
         Ok(())
@@ -192,10 +195,15 @@ impl<'a> Seen<'a> {
     }
 
     /// Darkens the gaps between villi that are seen from above.
-    fn shade(&self, places: &[Vec3], planes: &mut ArrayViewMut3<'_, f32>, spacing: f32) {
+    fn shade(
+        &self,
+        places: &[Vec3],
+        planes: &mut ArrayViewMut3<'_, f32>,
+        spacing: f32,
+        focal: f32,
+    ) {
         let (columns, width) = (self.size.1, spacing / LEAF.sqrt());
-        let (cells, breaks) =
-            (Cells::new(SEEDS[0], spacing), Lattice::new(SEEDS[2], BREAK * spacing));
+        let strokes = Strokes::new(SEEDS[2], STROKES * spacing);
         let mut lines: Vec<_> = planes.axis_iter_mut(Axis(1)).collect();
         lines.par_iter_mut().enumerate().for_each(|(y, line)| {
             for start in (0..columns).step_by(LANES) {
@@ -204,6 +212,7 @@ impl<'a> Seen<'a> {
                 for i in 0..count {
                     let pixel = y * columns + start + i;
                     weights[i] = self.gaps[pixel] * self.resolved(places, pixel, width);
+                    weights[i] *= FACING + (1.0 - FACING) * self.slant(pixel, focal);
                     if weights[i] > 0.0 {
                         any = true;
                         for k in 0..3 {
@@ -214,11 +223,9 @@ impl<'a> Seen<'a> {
                 if !any {
                     continue;
                 }
-                let borders = cells.borders(&leaf_space(&lanes, LEAF));
-                let noise = breaks.gradients(&lanes);
+                let depths = strokes.depths(&lanes);
                 for i in 0..count {
-                    let amount = weights[i] * broken(noise[i], UNEVEN);
-                    let density = amount * (PLATEAU - plateau(borders[i]));
+                    let density = weights[i] * depths[i];
                     for k in 0..3 {
                         line[[k, start + i]] *= exp(-GAP_COLOR[k] * density);
                     }
@@ -240,6 +247,15 @@ impl<'a> Seen<'a> {
         }
         let pixels = width / widest.sqrt();
         smoothstep(RESOLVED[0], RESOLVED[1], pixels) * smoothstep(ROUND[0], ROUND[1], area / widest)
+    }
+
+    /// Squared sine of the angle between the ray of a pixel and the normal of the wall.
+    fn slant(&self, pixel: usize, focal: f32) -> f32 {
+        let own = self.distance[pixel];
+        let rise = |next: usize| self.distance.get(next).map_or(0.0, |&next| (next - own) / own);
+        let (right, down) = (rise(pixel + 1), rise(pixel + self.size.1));
+        let square = (right * right + down * down) * focal * focal;
+        if square.is_nan() { 0.0 } else { square / (1.0 + square) }
     }
 
     /// Villi of the pixels of outlines.

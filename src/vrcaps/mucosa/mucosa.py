@@ -48,8 +48,8 @@ class Mucosa:
         pit_spacing: Distance between villi, gastric areae or groups of crypts [m].
         pit_slope: RMS slope of the gaps between them.
         pit_shade: Optical density of those gaps in green light; bile also collects there.
-        pit_breaks: Relative standard deviation of their depth between adjacent villi, 0 (a closed
-            network of gaps around round villi) to 1 (short dashes); the mean is nearly preserved.
+        pit_breaks: Blend between a closed network of gaps around round pits (0) and separate dark
+            strokes, 3.5 times as long as wide (1), as between the leaf-shaped villi of jejunum.
         pit_variation: Standard deviation of the logarithm of their depth and density over the wall,
             as villi are more or less swollen and covered by mucus; the mean is nearly preserved.
         network: Weight of the finest network of vessels in the redness.
@@ -118,8 +118,8 @@ MUCOSAE: dict[str, Mucosa] = {
         bile=0.36,
         vessel_contrast=0.2,
         pit_spacing=0.42 * MM,
-        pit_slope=0.2,
-        pit_shade=0.2,
+        pit_slope=0.16,
+        pit_shade=0.14,
         pit_breaks=1.0,
         pit_variation=0.75,
         network=0.4,
@@ -205,7 +205,7 @@ class MucosaSettings(FileRef):
         pit_spacing: Distance between villi, gastric areae or groups of crypts [m].
         pit_slope: RMS slope of the gaps between them.
         pit_shade: Optical density of those gaps in green light.
-        pit_breaks: Relative standard deviation of their depth between adjacent villi.
+        pit_breaks: Blend between a closed network of gaps (0) and separate strokes (1).
         pit_variation: Standard deviation of the logarithm of their depth over the wall.
         network: Weight of the finest network of vessels in the redness.
         flecks: Fraction of cells, 3.2 mm wide, with a fleck of mucus.

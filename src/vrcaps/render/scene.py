@@ -91,7 +91,7 @@ SLACK_WIDTH = 0.6
 """Width of a slack wall, relative to that at rest, at which its villi are as long as wide: between
 its widths around the capsule and where the lumen is closed."""
 
-GAP_DENSITY = 1.2
+GAP_DENSITY = 1.8
 """Optical density in green of the gaps between villi relative to their tips; chosen so that the
 texture of recorded frames approaches that of real frames (`vrcaps compare-looks`)."""
 

@@ -75,9 +75,9 @@ class Bubbles:
     landing_rate: _NotNegative = 2.0
     release_rate: _NotNegative = 0.05
     ior: Annotated[float, Range(above=1.0, below=3.0)] = 1.333
-    border: Annotated[float, Range(above=0.0, below=1.0)] = 0.18
+    border: Annotated[float, Range(above=0.0, below=1.0)] = 0.13
     gleam: _Fraction = 0.9
-    stain: tuple[_NotNegative, _NotNegative, _NotNegative] = (0.0, 0.015, 0.05)
+    stain: tuple[_NotNegative, _NotNegative, _NotNegative] = (0.0, 0.1, 0.4)
     meniscus: Annotated[float, Range(above=0.0, unit="m")] = 0.7 * MM
     shade: _Fraction = 0.75
     ripple: Annotated[float, Range(0.0, 0.5)] = 0.22

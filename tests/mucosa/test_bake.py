@@ -339,14 +339,16 @@ def test_villi_agree_with_their_readable_twin(breaks):
     stroke = gradient_noise(31 * seed + 22, spacing / MM, stretched) / 1.4
     gap, stroke = (t * t * (3.0 - 2.0 * t) for t in np.clip([gap, stroke], 0.0, 1.0))
     plateau = 0.62 + (1.0 - breaks) * (gap - 0.62) - breaks * (stroke - 0.2)
-    expected = slope * spacing / 3.5 * plateau
+    expected = slope * spacing / (3.5 - 1.1 * breaks) * plateau
     np.testing.assert_allclose(
         height[pixels[:, 0], pixels[:, 1]], expected, rtol=0.0, atol=1e-3 * slope * spacing
     )
 
 
-def test_villi_have_the_slope_they_are_given():
-    mucosa = Mucosa((0.5,) * 3, vessel_contrast=0.0, relief_slope=0.0, flecks=0.0, pit_slope=0.2)
+@pytest.mark.parametrize("breaks", [0.0, 1.0])
+def test_villi_have_the_slope_they_are_given(breaks):
+    plain = Mucosa((0.5,) * 3, vessel_contrast=0.0, relief_slope=0.0, flecks=0.0)
+    mucosa = replace(plain, pit_slope=0.2, pit_breaks=breaks)
     height = bake_appearance(
         make_square(12.0 * MM), seed=2, mucosa=mucosa, texels_per_mm=30.0
     ).height

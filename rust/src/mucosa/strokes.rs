@@ -16,6 +16,9 @@ const EDGES: [f32; 2] = [0.0, 1.4];
 /// Mean depth of strokes with these edges.
 const MEAN: f32 = 0.2;
 
+/// RMS slope of the depth of strokes times their size.
+pub const STROKE_SLOPE: f32 = 2.4;
+
 /// Strokes at random places.
 pub struct Strokes(Lattice);
 

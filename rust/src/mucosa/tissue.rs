@@ -2,7 +2,7 @@
 
 use super::grid::{Blood, SegmentGrid};
 use super::noise::{Cells, Lattice, Vec3, exp, smoothstep, uniform};
-use super::strokes::Strokes;
+use super::strokes::{STROKE_SLOPE, Strokes};
 use crate::simd::f32x64::{LANES, Lane, Lane3, add, at, clamp, dot, max, min, scale};
 use pyo3::prelude::*;
 
@@ -180,8 +180,9 @@ impl Tissue {
     /// Depth of the gaps between pits [mm] for their specified slope.
     #[inline(always)]
     fn pit_height(&self) -> f32 {
-        let pits = self.mucosa.pit_spacing * 1e3;
-        self.mucosa.pit_slope * pits / PLATEAU_SLOPE * self.resolved(pits)
+        let (pits, breaks) = (self.mucosa.pit_spacing * 1e3, self.mucosa.pit_breaks);
+        let slope = PLATEAU_SLOPE + breaks * (STROKE_SLOPE - PLATEAU_SLOPE);
+        self.mucosa.pit_slope * pits / slope * self.resolved(pits)
     }
 
     /// Mucosa without any detail.

@@ -46,7 +46,7 @@ class Mucosa:
             by Murray's law.
         relief_slope: RMS slope of the millimeter-sized relief, which breaks up highlights.
         pit_spacing: Distance between villi, gastric areae or groups of crypts [m].
-        pit_slope: RMS slope of the gaps between them; separate strokes have 0.68 times it.
+        pit_slope: RMS slope of the gaps between them.
         pit_shade: Optical density of those gaps in green light; bile also collects there.
         pit_breaks: Blend between a closed network of gaps around round pits (0) and separate dark
             strokes, 3.5 times as long as wide (1), as between the leaf-shaped villi of jejunum.
@@ -118,7 +118,7 @@ MUCOSAE: dict[str, Mucosa] = {
         bile=0.36,
         vessel_contrast=0.2,
         pit_spacing=0.42 * MM,
-        pit_slope=0.16,
+        pit_slope=0.11,
         pit_shade=0.14,
         pit_breaks=1.0,
         pit_variation=0.75,
@@ -203,7 +203,7 @@ class MucosaSettings(FileRef):
         vessel_spacing: Distance between the ends of the finest visible branches [m].
         relief_slope: RMS slope of the millimeter-sized relief.
         pit_spacing: Distance between villi, gastric areae or groups of crypts [m].
-        pit_slope: RMS slope of the gaps between them; separate strokes have 0.68 times it.
+        pit_slope: RMS slope of the gaps between them.
         pit_shade: Optical density of those gaps in green light.
         pit_breaks: Blend between a closed network of gaps (0) and separate strokes (1).
         pit_variation: Standard deviation of the logarithm of their depth over the wall.

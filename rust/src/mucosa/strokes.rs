@@ -15,17 +15,16 @@ const STROKE: f32 = 3.5;
 const EDGES: [f32; 2] = [0.0, 1.4];
 /// Mean depth of strokes with these edges.
 const MEAN: f32 = 0.2;
-
-/// RMS slope of the depth of strokes times their size.
+/// RMS slope of the depth of strokes times the spacing of the lattice.
 pub const STROKE_SLOPE: f32 = 2.4;
 
 /// Strokes at random places.
 pub struct Strokes(Lattice);
 
 impl Strokes {
-    /// Strokes whose places are on average about 1.5 times `size` apart.
-    pub fn new(seed: u32, size: f32) -> Self {
-        Self(Lattice::new(seed, size))
+    /// Strokes where the noise of a lattice is positive.
+    pub fn new(lattice: Lattice) -> Self {
+        Self(lattice)
     }
 
     /// Depth at points, 0 between strokes to 1, less its mean.
@@ -61,7 +60,7 @@ mod tests {
 
     #[test]
     fn depths_have_zero_mean() {
-        let strokes = Strokes::new(3, 1.0);
+        let strokes = Strokes::new(Lattice::new(3, 1.0));
         let mut sum = 0.0;
         let lanes = 2000;
         for lane in 0..lanes {

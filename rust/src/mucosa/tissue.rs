@@ -166,7 +166,7 @@ impl Tissue {
             warps: [noise(7, 3.1), noise(8, 1.1)],
             bumps: BUMPS.map(|(size, _)| noise(9 + size as u32, size)),
             pits: Cells::new(seed ^ 0x7069_7473, mucosa.pit_spacing * 1e3),
-            strokes: Strokes::new(seed.wrapping_mul(31).wrapping_add(22), mucosa.pit_spacing * 1e3),
+            strokes: Strokes::new(noise(22, mucosa.pit_spacing * 1e3)),
             flecks: Cells::new(seed ^ 0x6d75_6375, FLECK_SPACING),
         }
     }
@@ -257,8 +257,7 @@ impl Tissue {
     #[inline(always)]
     fn structure(&self, p: &Lane3, fine: &Lane3) -> Structure {
         let (mottle, grain) = (self.mottle.gradients(p), self.grain.gradients(p));
-        let film = self.film.gradients(p);
-        let mut level = film;
+        let mut level = self.film.gradients(p);
         for i in 0..LANES {
             level[i] += 0.5 * mottle[i];
         }

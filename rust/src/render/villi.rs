@@ -29,7 +29,7 @@ const RESOLVED: [f32; 2] = [1.1, 1.9];
 /// Ratio of the sides of a pixel on that shape of the wall up to which gaps are invisible, and from
 /// which they are drawn fully: where a wall is gathered or pulled, gaps would be streaks.
 const ROUND: [f32; 2] = [0.25, 0.5];
-/// Size of the strokes between villi [spacings of villi].
+/// Spacing of the lattice of strokes [spacings of villi].
 const STROKES: f32 = 1.2;
 /// Density of gaps in a wall that faces the camera, relative to one seen aslant: the LEDs are next to
 /// the camera and light the ground of the former, by assumption.
@@ -203,7 +203,7 @@ impl<'a> Seen<'a> {
         focal: f32,
     ) {
         let (columns, width) = (self.size.1, spacing / LEAF.sqrt());
-        let strokes = Strokes::new(SEEDS[2], STROKES * spacing);
+        let strokes = Strokes::new(Lattice::new(SEEDS[2], STROKES * spacing));
         let mut lines: Vec<_> = planes.axis_iter_mut(Axis(1)).collect();
         lines.par_iter_mut().enumerate().for_each(|(y, line)| {
             for start in (0..columns).step_by(LANES) {

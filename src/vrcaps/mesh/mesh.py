@@ -183,12 +183,8 @@ def take_vertices(mesh: Mesh, source: Int[np.ndarray, " k"], faces: Int[np.ndarr
 
 def drop_unused_vertices(mesh: Mesh) -> Mesh:
     """Mesh without unused vertices; the others keep their order."""
-    is_used = np.zeros(len(mesh.vertices), bool)
-    is_used[mesh.faces] = True
-    if is_used.all():
-        return mesh
-    new_index = np.cumsum(is_used) - 1
-    return take_vertices(mesh, np.nonzero(is_used)[0], new_index[mesh.faces])
+    used, faces = used_vertices(mesh.faces, len(mesh.vertices))
+    return mesh if len(used) == len(mesh.vertices) else take_vertices(mesh, used, faces)
 
 
 def area_vectors(mesh: Mesh) -> Float[np.ndarray, "m 3"]:

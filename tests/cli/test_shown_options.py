@@ -26,7 +26,7 @@ PAGES = tuple(
 PLACEHOLDER = re.compile(r"[A-Z][A-Z_]*(=[A-Z]+)?|…|<.*>|\.\.\.|\[.*\]?")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
-MOTIONS = ("fly-through", "random-views", "replay")
+MOTIONS = ("dynamics", "fly-through", "random-views", "replay")
 OF_PLUGINS = {"position-table", "distance", "rest", "env.task=rest"}
 """Names that the guide to extensions registers; `docs/test_extending.py` runs its programs."""
 OTHER_TOOLS = {"--logdir", "--continue"}
@@ -170,8 +170,8 @@ def test_an_option_in_a_text_exists_and_takes_its_value(words: list[str]) -> Non
 def resolves(*words: str) -> bool:
     """Return whether options of `record` give a scenario, for some motion or lens effect."""
     reasons = []
-    # Most options in texts are of simulations.
-    for more in (["--motion", "dynamics"], [], *(["--motion", kind] for kind in MOTIONS)):
+    # Most options in texts are of simulations, so the default motion is tried last.
+    for more in (*(["--motion", kind] for kind in MOTIONS), []):
         command = cli._parse(["record", "--out", "o", *more, *words])
         assert isinstance(command, Record)
         try:

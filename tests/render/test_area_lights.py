@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -311,7 +310,7 @@ def digest() -> str:
 
 
 def test_same_bytes_for_any_number_of_threads() -> None:
-    _, digests = digests_by_threads(Path(__file__), (1, 3))
+    _, digests = digests_by_threads(digest, (1, 3))
     assert len(set(digests)) == 1
 
 

@@ -1,7 +1,6 @@
 """Images in batches and the same one by one; bundles of rays, packets and single rays."""
 
 import hashlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -68,7 +67,7 @@ def test_a_wall_that_followed_its_world_has_its_normals():
 
 @pytest.mark.slow
 def test_same_bytes_for_any_number_of_threads():
-    counts, digests = digests_by_threads(Path(__file__), (1, 2))
+    counts, digests = digests_by_threads(digest, (1, 2))
     assert counts == [1, 2]
     assert digests == {digest()}
 

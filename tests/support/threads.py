@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import os
-import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +19,15 @@ from vrcaps.render.renderer import Renderer
 VARIABLES = ("RAYON_NUM_THREADS", "OIDN_NUM_THREADS")
 
 
-def digests_by_threads(test: Path, threads: Iterable[int]) -> tuple[list[int], set[str]]:
-    """The number of threads of each process, and what the module's `digest` gave in them.
+def digests_by_threads(
+    digest: Callable[[], str], threads: Iterable[int]
+) -> tuple[list[int], set[str]]:
+    """The number of threads of each process, and the result of a module's `digest` in them.
 
     One is this process if it has as many, for it has imported all; each other is a new one, for the
     number of threads is fixed when the core loads.
     """
-    (here,) = (m for m in [*sys.modules.values()] if getattr(m, "__file__", None) == str(test))
+    test = Path(inspect.getfile(digest))
     code = (
         f"import sys; sys.path[:0] = [{str(test.parent)!r}]\n"
         f"import {test.stem} as test\n"
@@ -34,8 +36,9 @@ def digests_by_threads(test: Path, threads: Iterable[int]) -> tuple[list[int], s
     )
 
     def result(count: int) -> list[str]:
-        if (_core.num_threads(), os.environ.get("OIDN_NUM_THREADS")) == (count, str(count)):
-            return [str(count), here.digest()]
+        has_as_many = all(os.environ.get(name) == str(count) for name in VARIABLES)
+        if has_as_many and _core.num_threads() == count:
+            return [str(count), digest()]
         return run_program(code, environment=dict.fromkeys(VARIABLES, str(count))).stdout.split()
 
     results = [result(count) for count in threads]

@@ -186,7 +186,7 @@ def test_a_client_that_takes_no_data_does_not_slow_the_world(scenario, told, mon
 
 
 class SmallBuffer(_Client):
-    """Client to which the system takes few bytes that it has not read: after few steps, no more."""
+    """Client with a small send buffer: writing to it blocks after a few steps."""
 
     def __init__(self, client_id: int, socket: Any) -> None:
         super().__init__(client_id, socket)

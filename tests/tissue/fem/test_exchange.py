@@ -256,7 +256,9 @@ def test_the_same_bytes_on_any_number_of_threads() -> None:
     run = subprocess.run(
         [sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True
     )
-    assert run.stdout.strip() == digests()
+    checksums = digests()
+    assert len(checksums) > 60
+    assert run.stdout.strip() == checksums
 
 
 @pytest.mark.parametrize(

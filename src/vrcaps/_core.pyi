@@ -422,6 +422,9 @@ def raise_villi(
     spacing: float,
     focal: float,
 ) -> None: ...
+def intersecting_triangles(
+    corners: NDArray[np.float64], vertices: NDArray[np.int64], tolerance: float
+) -> NDArray[np.int64]: ...
 def covered_texels(
     corners: NDArray[np.float64], margin: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]: ...

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from vrcaps import _core
 from vrcaps.mesh.self_intersection import cluster_intersections, self_intersections
 
 
@@ -119,3 +120,16 @@ def test_areas_that_lie_on_each_other_cut():
 def test_no_triangles_and_one_triangle_do_not_cut():
     assert self_intersections(np.zeros((0, 3)), np.zeros((0, 3), int)).shape == (0, 2)
     assert self_intersections(np.eye(3), np.array([[0, 1, 2]])).shape == (0, 2)
+
+
+def test_triangles_without_area_do_not_cut():
+    """A segment through a triangle, alone, and with an area as a slender triangle."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, -1], [0.2, 0.2, 1]])
+    assert self_intersections(corners, np.array([[0, 1, 2], [3, 4, 4]])).shape == (0, 2)
+    slender = np.append(corners, [[0.2, 0.201, 1.0]], axis=0)
+    assert self_intersections(slender, np.array([[0, 1, 2], [3, 4, 5]])).tolist() == [[0, 1]]
+
+
+def test_corners_and_indices_of_other_shapes_are_refused():
+    with pytest.raises(ValueError, match="expected corners"):
+        _core.intersecting_triangles(np.zeros((2, 3, 3)), np.zeros((3, 3), int), 0.0)

@@ -1,3 +1,4 @@
-//! Triangles on textures.
+//! Triangle meshes and their textures.
 
+pub mod self_intersection;
 pub mod texels;

@@ -179,7 +179,9 @@ def test_environments_in_processes_of_gymnasium(context: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["fork", "forkserver"])
+@pytest.mark.parametrize(
+    "method", ["fork", pytest.param("forkserver", marks=pytest.mark.validation)]
+)
 def test_environments_in_processes_of_stable_baselines(method: str) -> None:
     vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
     settings = small_settings(num_points=64)

@@ -190,7 +190,7 @@ def _train(learner, out, report=lambda progress: None, **changes):
     return train(settings, samples, samples, out, compute=ComputeSettings("cpu"), report=report)
 
 
-@pytest.mark.slow
+@pytest.mark.validation
 def test_four_images_are_learned(tmp_path):
     """The absolute difference gives the nearest image, the full loss the nearest features."""
     plain, full = (

@@ -272,7 +272,7 @@ def _recorded(*given, threads="2", **options):
     return run_program(*_program(*given, **options), environment={"RAYON_NUM_THREADS": threads})
 
 
-@pytest.mark.slow
+@pytest.mark.validation
 @pytest.mark.skipif(os.name != "posix", reason="sends SIGINT")
 def test_interrupt_threads_and_file_limit(scenario, organ, tmp_path):
     """Same bytes on 1 and 2 threads, after Ctrl-C, and after a write that the system refused."""

@@ -85,7 +85,10 @@ def _sphere_radiance(look: Appearance, cos_view: np.ndarray, depth: int) -> np.n
 
 @pytest.mark.slow
 @pytest.mark.parametrize("depth", [pytest.param(2, marks=pytest.mark.validation), 8])
-@pytest.mark.parametrize("name", list(LOOKS))
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.validation] if n == "wet" else []) for n in LOOKS],
+)
 def test_hollow_sphere(name: str, depth: int) -> None:
     """Partial sums of the integrating sphere to 0.1 %, whatever the wall reflects like."""
     look = _look(**LOOKS[name])
@@ -111,7 +114,7 @@ def test_hollow_sphere(name: str, depth: int) -> None:
     np.testing.assert_allclose(found.mean(), expected.mean(), rtol=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.validation
 def test_radiance_agrees_with_mitsuba(rng: np.random.Generator) -> None:
     """Beside ring folds, wet and patterned: no block of pixels differs by more than noise does."""
     depth = 4

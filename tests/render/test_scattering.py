@@ -184,7 +184,7 @@ def test_nothing_is_lost_in_white_tissue():
     np.testing.assert_allclose(np.where(sides > -1e-3, sides, sides + 2e-3), 0.0, atol=1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.validation
 def test_profile_far_from_the_beam_is_that_of_diffusion():
     """Diffusion holds beyond six mean free paths, where light has lost its direction."""
     count, edges = 120_000, np.array([6e-3, 9e-3, 14e-3])

@@ -29,6 +29,8 @@ def _shell(line):
     program, *arguments = shlex.split(line)
     assert program == "vrcaps", line
     code = "from vrcaps.cli import main; main()"
+    if arguments[:2] == ["dataset", "make"]:
+        arguments += ["--workers", "0"]  # another process would import all anew
     sys.stdout.flush()
     if _server.run(code, *arguments, setup={COARSE!r}, timeout={WATCHDOG}):
         sys.exit(f"Failed: {{line}}")

@@ -98,7 +98,7 @@ def test_a_seed_is_a_patient():
     assert not np.array_equal(one.vertices[:100], other.vertices[:100])
 
 
-@pytest.mark.slow
+@pytest.mark.validation
 def test_no_drawn_stomach_cuts_itself():
     for seed in range(4):
         parameters = StomachParameters.draw(np.random.default_rng(seed)).at("normal")

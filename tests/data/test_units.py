@@ -68,8 +68,9 @@ def test_splits_are_by_patient_and_stratified() -> None:
     settings = {"patients": 200, "stratify": ("organ.name",)}
     units = Units(plan(COLONS, split=Split(0.5, 0.25, 0.25), **settings))
     assert Counter(units.splits) == {"train": 100, "val": 50, "test": 50}
+    organs = [units[4 * k].scenario.organ.name for k in range(200)]
     by_organ = {
-        name: [s for k, s in enumerate(units.splits) if units[4 * k].scenario.organ.name == name]
+        name: [s for organ, s in zip(organs, units.splits, strict=True) if organ == name]
         for name in ("colon", "stomach")
     }
     for splits in by_organ.values():

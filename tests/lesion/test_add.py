@@ -73,7 +73,7 @@ def test_every_kind(tube, lesion):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "size"),
-    [("Ip", 12 * MM), ("Ip", 6 * MM), ("Is", 8 * MM), ("IIa", 12 * MM), ("IIc", 10 * MM)],
+    [("Ip", 6 * MM), ("Is", 8 * MM), ("IIa", 12 * MM), ("IIc", 10 * MM)],
 )
 def test_a_polyps_largest_diameter_is_its_size(tube, shape, size):
     """Across the axis, as against an open forceps; of Ip that of the head, above the stalk."""
@@ -155,7 +155,7 @@ def test_instances_follow_the_order_given_and_spots_keep_apart(tube):
 
 
 def test_same_seed_same_bytes(tube):
-    lesions = [Polyp(), Bleeding(severity=2)]
+    lesions = [Polyp(size=4 * MM), Bleeding(severity=2)]
     bare = replace(tube, appearance=None)
     one, two, other = (
         add_lesions(organ, lesions, np.random.default_rng(seed)).organ

@@ -82,7 +82,7 @@ def test_it_sees_more_than_a_magnet_at_rest() -> None:
         observations, infos = envs.reset(seed=1)
         policy = ExplorerPolicy()
         policy.reset(np.arange(1), [1])
-        for _ in range(120):
+        for _ in range(80):
             actions = np.zeros((1, 6), np.float32)
             if name == "explorer":
                 actions = policy.act(observations, envs)

@@ -47,6 +47,8 @@ _RATE, _BURST = 500.0, 1000.0
 """Requests per second that a client may send, and size of a burst."""
 _SEND_TIMEOUT = 10.0
 """Time [s] after which a client that reads no data is disconnected."""
+_CLOSE_TIMEOUT = 1.0
+"""Time [s] after which a connection is dropped whose client does not confirm that it ends."""
 _POLICY_VIOLATION = 1008
 _TRY_AGAIN = 1013
 
@@ -318,6 +320,7 @@ def serving(server: BridgeServer, host: str, port: int, origins: Sequence[str]) 
             "vrcaps.cockpit.bridge", logging.CRITICAL + 1
         ),  # a rejection is not news
         "compression": None,
+        "close_timeout": _CLOSE_TIMEOUT,
     }
 
     async def listen() -> None:

@@ -61,7 +61,7 @@ def test_support_pushes_back_by_area() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("nu", [0.3, 0.45, 0.49])
+@pytest.mark.parametrize("nu", [0.3, 0.49])
 def test_tube_under_pressure_is_lames(nu: float) -> None:
     """Within 2 % on a coarse mesh, and the displacement converges with the third power."""
     (coarse, coarse_l2), (_, fine_l2) = lame_error(2, nu), lame_error(4, nu)

@@ -272,16 +272,16 @@ def _recorded(*given, threads="2", **options):
     return run_program(*_program(*given, **options), environment={"RAYON_NUM_THREADS": threads})
 
 
-@pytest.mark.validation
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="sends SIGINT")
 def test_interrupt_threads_and_file_limit(scenario, organ, tmp_path):
     """Same bytes on 1 and 2 threads, after Ctrl-C, and after a write that the system refused."""
     (tmp_path / "organ.pickle").write_bytes(pickle.dumps(organ))
-    scenario = replace(scenario, frames=16, channels=("rgb", "depth", "normal"))
+    scenario = replace(scenario, frames=8, channels=("rgb", "depth", "normal"))
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))"
     one = _recorded(scenario, tmp_path, "one", threads="1")
     refused = _recorded(scenario, tmp_path, "refused", setup=limit)
-    stopped = _recorded(scenario, tmp_path, "stopped", interrupt=5)
+    stopped = _recorded(scenario, tmp_path, "stopped", interrupt=3)
     assert (one.returncode, one.stderr) == (0, "")
     assert stopped.returncode != 0
     assert "KeyboardInterrupt" in stopped.stderr

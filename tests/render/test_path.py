@@ -111,7 +111,7 @@ def test_hollow_sphere(name: str, depth: int) -> None:
     np.testing.assert_allclose(found.mean(), expected.mean(), rtol=1e-3)
 
 
-@pytest.mark.validation
+@pytest.mark.slow
 def test_radiance_agrees_with_mitsuba(rng: np.random.Generator) -> None:
     """Beside ring folds, wet and patterned: no block of pixels differs by more than noise does."""
     depth = 4

@@ -100,7 +100,7 @@ def test_a_thin_sheet_shines_through() -> None:
     np.testing.assert_allclose(found, paths.mean(axis=(0, 1)), rtol=0.25)
 
 
-@pytest.mark.validation
+@pytest.mark.slow
 def test_beside_folds_as_by_path_tracing() -> None:
     """Two renderings cancel path tracing's noise; without scattering red is far off."""
     model, camera = _folds(48, pixels=32)

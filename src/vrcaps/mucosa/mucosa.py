@@ -111,8 +111,8 @@ MUCOSAE: dict[str, Mucosa] = {
         clearcoat=0.7,
     ),
     "small-bowel": Mucosa(
-        base_color=(0.312, 0.190, 0.123),
-        redness_variation=0.34,
+        base_color=(0.335, 0.160, 0.094),
+        redness_variation=0.30,
         patchiness=0.45,
         patient_variation=(0.12, 0.38),
         bile=0.36,

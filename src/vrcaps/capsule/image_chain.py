@@ -98,7 +98,7 @@ class ImageChain:
     lateral_color: tuple[float, float] = (0.002, -0.002)
     bloom_fraction: Annotated[float, Range(min=0.0, below=1.0)] = 0.12
     bloom_angle: Annotated[float, Range(above=0.0, below=1.0, unit="rad")] = 0.1
-    full_well: Annotated[float, Range(min=1.0, max=1e6, unit="electrons")] = 5000.0
+    full_well: Annotated[float, Range(min=1.0, max=1e6, unit="electrons")] = 8000.0
     read_noise: Annotated[float, Range(min=0.0, below=1e5, unit="electrons")] = 5.0
     prnu: Annotated[float, Range(min=0.0, below=1.0)] = 0.01
     dsnu: Annotated[float, Range(min=0.0, below=1e5, unit="electrons")] = 3.0

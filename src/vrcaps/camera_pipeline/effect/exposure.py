@@ -127,7 +127,7 @@ class AutoExposure(ImageEffect):
     """
 
     time_constant: float
-    target: float = 0.105
+    target: float = 0.12
     min_light: float = 0.02
     max_light: float = 2.0
     max_gain: float = 8.0

@@ -106,7 +106,7 @@ class ImageChain:
     white_balance: Triple = (1.0, 1.0, 1.0)
     response: Triple = (0.6, 1.0, 0.7)
     color_matrix: tuple[Triple, Triple, Triple] = _IDENTITY
-    contrast: Annotated[float, Range(min=0.25, max=4.0)] = 1.3
+    contrast: Annotated[float, Range(min=0.25, max=4.0)] = 1.4
     luma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 0.7
     chroma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 1.3
     sharpening: Annotated[float, Range(min=0.0, max=10.0)] = 2.0

@@ -111,7 +111,7 @@ MUCOSAE: dict[str, Mucosa] = {
         clearcoat=0.7,
     ),
     "small-bowel": Mucosa(
-        base_color=(0.335, 0.160, 0.094),
+        base_color=(0.335, 0.165, 0.096),
         redness_variation=0.30,
         patchiness=0.45,
         patient_variation=(0.12, 0.38),

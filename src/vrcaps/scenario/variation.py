@@ -56,7 +56,7 @@ class Prevalence:
     film: float = 0.0
 
 
-STAIN = (1.5, 5.0, 26.0)
+STAIN = (2.0, 7.0, 36.0)
 """Median absorption of clear fluid in the small bowel for red, green and blue [1/m]: chosen so that
 blue falls from bright to dark parts of a frame as in real frames."""
 

@@ -98,7 +98,7 @@ class ImageChain:
     lateral_color: tuple[float, float] = (0.002, -0.002)
     bloom_fraction: Annotated[float, Range(min=0.0, below=1.0)] = 0.12
     bloom_angle: Annotated[float, Range(above=0.0, below=1.0, unit="rad")] = 0.1
-    full_well: Annotated[float, Range(min=1.0, max=1e6, unit="electrons")] = 8000.0
+    full_well: Annotated[float, Range(min=1.0, max=1e6, unit="electrons")] = 10000.0
     read_noise: Annotated[float, Range(min=0.0, below=1e5, unit="electrons")] = 5.0
     prnu: Annotated[float, Range(min=0.0, below=1.0)] = 0.01
     dsnu: Annotated[float, Range(min=0.0, below=1e5, unit="electrons")] = 3.0
@@ -106,7 +106,7 @@ class ImageChain:
     white_balance: Triple = (1.0, 1.0, 1.0)
     response: Triple = (0.6, 1.0, 0.7)
     color_matrix: tuple[Triple, Triple, Triple] = _IDENTITY
-    contrast: Annotated[float, Range(min=0.25, max=4.0)] = 1.4
+    contrast: Annotated[float, Range(min=0.25, max=4.0)] = 1.35
     luma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 0.7
     chroma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 1.3
     sharpening: Annotated[float, Range(min=0.0, max=10.0)] = 2.0

@@ -111,7 +111,7 @@ MUCOSAE: dict[str, Mucosa] = {
         clearcoat=0.7,
     ),
     "small-bowel": Mucosa(
-        base_color=(0.335, 0.165, 0.096),
+        base_color=(0.326, 0.178, 0.121),
         redness_variation=0.30,
         patchiness=0.45,
         patient_variation=(0.12, 0.38),

@@ -29,7 +29,7 @@ from vrcaps.organ.uv import texture_stretch
 
 pytestmark = pytest.mark.slow
 
-SMALL, COARSE = 20_000, 40_000
+SMALL, COARSE = 20_000, 60_000
 """Triangles of the colons that are made only to be compared, and of those that are looked at."""
 
 

@@ -41,10 +41,10 @@ SEED = 4
 def coarse_patient(seed: int) -> PatientAnatomy:
     """A patient with a short small bowel, large triangles and low folds: quick to make."""
     patient = draw_patient_anatomy(seed)
-    changes = {"length": 2.0, "edge": 5 * MM, "jejunum_fold_height": 1.5 * MM}
+    changes = {"length": 2.0, "edge": 4 * MM, "jejunum_fold_height": 1.5 * MM}
     return dataclasses.replace(
         patient,
-        stomach=dataclasses.replace(patient.stomach, edge=5 * MM, rugae_height=2 * MM),
+        stomach=dataclasses.replace(patient.stomach, edge=4 * MM, rugae_height=2 * MM),
         small_bowel=dataclasses.replace(patient.small_bowel, **changes),
         colon=dataclasses.replace(patient.colon, triangles=20_000),
     )
@@ -111,7 +111,7 @@ def test_texture_parts_do_not_overlap_and_each_gets_its_mucosa(tract: OrganSurfa
     # The band at the valve, between the last of the ileum and the colon, belongs to the ileum.
     least = tract.label[tract.faces].min(axis=1)
     assert set(which[least > tract.label_names.index("ileum")]) == {2}
-    organ = with_appearance(tract, seed=SEED, max_texels=30_000)
+    organ = with_appearance(tract, seed=SEED, max_texels=100_000)
     assert organ.appearance is not None
     assert organ.appearance.albedo.shape[:2] == organ.appearance.height.shape
     assert organ.uv.min() >= 0.0

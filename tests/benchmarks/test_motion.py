@@ -103,6 +103,7 @@ def test_the_page_compares_the_published_network_with_all_baselines(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("plain_stamp")
 def test_sinus_data_have_a_section_with_and_without_intervals(
     tmp_path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -114,7 +115,6 @@ def test_sinus_data_have_a_section_with_and_without_intervals(
     monkeypatch.setattr(motion, "read_sinus_sequence", lambda folder: sequence)
     monkeypatch.setattr(motion, "estimates_of", lambda *given: {"sfm": double})
     out = tmp_path / "page.md"
-    monkeypatch.setattr("benchmarks.common.sections.sources", lambda name: "0123456789")
     monkeypatch.setattr(sys, "argv", ["motion", "--sinus", "runs/sinus", "--out", str(out)])
     motion.main()
     (text,) = (read_sections(out)[name] for name in read_sections(out) if name)

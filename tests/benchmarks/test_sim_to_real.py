@@ -60,12 +60,6 @@ SUMMARY = {
 """Names of tasks in the summary of the page."""
 
 
-@pytest.fixture(autouse=True)
-def plain_stamp(monkeypatch):
-    """Pages are stamped without reading all sources, which `test_sources` does."""
-    monkeypatch.setattr("benchmarks.common.sections.sources", lambda name: "0123456789")
-
-
 def scene(seed, side=96):
     """A smooth image that resembles no other."""
     values = np.random.default_rng(seed).integers(30, 255, (6, 6, 3), np.uint8)
@@ -464,6 +458,7 @@ def test_what_tasks_learn_alike_on_ours_is_learned_once(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("plain_stamp")
 def test_a_run_with_ours_learns_masks_first(tmp_path, monkeypatch):
     pytest.importorskip("segmentation_models_pytorch", reason="its package is not installed")
     fake_dataset(monkeypatch)
@@ -516,6 +511,7 @@ def test_what_cannot_run_is_told_on_one_line(tmp_path, monkeypatch, words, messa
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("plain_stamp")
 def test_a_run_goes_on_and_writes_its_page(tmp_path, monkeypatch, capsys):
     pytest.importorskip("segmentation_models_pytorch", reason="its package is not installed")
     write_real(tmp_path / "real")

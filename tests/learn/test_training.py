@@ -130,7 +130,7 @@ def test_training_that_was_cut_off_ends_in_the_same_bytes(tmp_path):
     assert list((tmp_path / "cut" / "pictures").glob("*.png"))
 
 
-@pytest.mark.validation
+@pytest.mark.slow
 def test_depth_is_learned(tmp_path):
     progress = _train(DEPTH, tmp_path, steps=24, evaluate_every=12, start="imagenet")
     assert progress.rows[-1]["abs_rel"] < 0.2

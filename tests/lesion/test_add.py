@@ -155,7 +155,7 @@ def test_instances_follow_the_order_given_and_spots_keep_apart(tube):
 
 
 def test_same_seed_same_bytes(tube):
-    lesions = [Polyp(size=4 * MM), Bleeding(severity=2)]
+    lesions = [Polyp(), Bleeding(severity=2)]
     bare = replace(tube, appearance=None)
     one, two, other = (
         add_lesions(organ, lesions, np.random.default_rng(seed)).organ

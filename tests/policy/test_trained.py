@@ -35,10 +35,10 @@ def test_coverage_ppo_sees_unseen_stomachs_sooner_than_the_centerline_leads() ->
     )
     seen = {}
     for name, policy in policies.items():
-        envs = CapsuleVectorEnv(settings, 2, autoreset_mode="Disabled")
+        envs = CapsuleVectorEnv(settings, 4, autoreset_mode="Disabled")
         observations, infos = envs.reset(seed=7)
-        policy.reset(np.arange(2), range(2))
-        over = np.zeros(2, bool)
+        policy.reset(np.arange(4), range(4))
+        over = np.zeros(4, bool)
         while not over.any():
             actions = policy.act(observations, envs)
             observations, _, terminated, truncated, infos = envs.step(actions)

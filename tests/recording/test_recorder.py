@@ -78,7 +78,7 @@ def test_recording_again_into_a_whole_episode_changes_nothing(recorded, scenario
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fail_at", [0, 4])
+@pytest.mark.parametrize("fail_at", [0, 2, 4])
 def test_full_disk_then_resume(recorded, scenario, tmp_path, monkeypatch, fail_at):
     """One line; every file there is whole; going on gives the bytes of an unbroken run."""
     out, write = tmp_path / "episode", _core.write_pngs
@@ -277,11 +277,11 @@ def _recorded(*given, threads="2", **options):
 def test_interrupt_threads_and_file_limit(scenario, organ, tmp_path):
     """Same bytes on 1 and 2 threads, after Ctrl-C, and after a write that the system refused."""
     (tmp_path / "organ.pickle").write_bytes(pickle.dumps(organ))
-    scenario = replace(scenario, frames=8, channels=("rgb", "depth", "normal"))
+    scenario = replace(scenario, frames=16, channels=("rgb", "depth", "normal"))
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))"
     one = _recorded(scenario, tmp_path, "one", threads="1")
     refused = _recorded(scenario, tmp_path, "refused", setup=limit)
-    stopped = _recorded(scenario, tmp_path, "stopped", interrupt=3)
+    stopped = _recorded(scenario, tmp_path, "stopped", interrupt=5)
     assert (one.returncode, one.stderr) == (0, "")
     assert stopped.returncode != 0
     assert "KeyboardInterrupt" in stopped.stderr

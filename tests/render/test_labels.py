@@ -137,10 +137,7 @@ def _check_against_embree(model: Model, eyes: list[tuple], ahead: list[tuple]) -
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "device",
-    ["mirocam", "pillcam-colon2", pytest.param("panoramic", marks=pytest.mark.validation)],
-)
+@pytest.mark.parametrize("device", ["mirocam", "pillcam-colon2", "panoramic"])
 def test_folded_tube_against_embree(device: str) -> None:
     organ = tube(120, 300, folds=0.4)
     model = Model(organ, read_device(device))
@@ -150,14 +147,7 @@ def test_folded_tube_against_embree(device: str) -> None:
     _check_against_embree(model, list(eyes @ to_world.T), list(ahead @ to_world.T))
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param("colon_GI1_mm", marks=pytest.mark.validation),
-        pytest.param("stomach_A_mm", marks=pytest.mark.validation),
-        "stomach_C_mm",
-    ],
-)
+@pytest.mark.parametrize("name", ["colon_GI1_mm", "stomach_A_mm", "stomach_C_mm"])
 def test_real_organs_against_embree(shared_data, name: str) -> None:
     """Bare meshes from CT, looked at from the deepest of some random points inside."""
     import trimesh

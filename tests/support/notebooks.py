@@ -30,7 +30,7 @@ def _shell(line):
     assert program == "vrcaps", line
     code = "from vrcaps.cli import main; main()"
     if arguments[:2] == ["dataset", "make"]:
-        arguments += ["--workers", "0"]  # another process would import all anew
+        arguments += ["--workers", "0"]  # a worker process would import all modules again
     sys.stdout.flush()
     if _server.run(code, *arguments, setup={COARSE!r}, timeout={WATCHDOG}):
         sys.exit(f"Failed: {{line}}")

@@ -24,4 +24,4 @@ def make_tube() -> OrganSurface:
 def tube() -> OrganSurface:
     plain = make_tube()
     assert (plain.normals[:, :2] * plain.vertices[:, :2]).sum(axis=1).max() < 0.0
-    return replace(plain, appearance=bake_appearance(plain, seed=1, texels_per_mm=2.0))
+    return replace(plain, appearance=bake_appearance(plain, seed=1, texels_per_mm=3.0))

@@ -48,7 +48,7 @@ _RATE, _BURST = 500.0, 1000.0
 _SEND_TIMEOUT = 10.0
 """Time [s] after which a client that reads no data is disconnected."""
 _CLOSE_TIMEOUT = 1.0
-"""Time [s] after which a connection is dropped whose client does not confirm that it ends."""
+"""Time [s] after which a closing connection is dropped if its client does not confirm."""
 _POLICY_VIOLATION = 1008
 _TRY_AGAIN = 1013
 

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 _MIN_DISTANCE = 1e-6
 """Distance from the axis below which the direction is undefined [m]."""
 
+_MAX_RELAXATIONS = 3
+"""Maximum number of times that intersecting folds are relaxed and moved off the shell again."""
+
 
 @dataclass(frozen=True)
 class WallDisplacement:
@@ -90,10 +93,13 @@ class WallDisplacement:
         vertices = (at_rest if vertices_world is None else vertices_world).copy()
         vertices[moved] = closed
         vertices = self._yielding((vertices, moved), T_world_capsule, ends, None)
-        patches = closure.patches_near(vertices, T_world_capsule, half)
-        if not patches:
-            return vertices
-        return self._yielding((relaxed(vertices, patches), moved), T_world_capsule, ends, None)
+        for _ in range(_MAX_RELAXATIONS):
+            patches = closure.patches_near(vertices, T_world_capsule, half)
+            if not patches:
+                break
+            wall = relaxed(vertices, patches), moved
+            vertices = self._yielding(wall, T_world_capsule, ends, None)
+        return vertices
 
     @cached_property
     def closure(self) -> LumenClosure | None:

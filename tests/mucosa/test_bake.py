@@ -511,7 +511,8 @@ def test_mucus_covers_its_share_of_the_wall():
 
 def test_mucus_follows_the_palette():
     """Half the base color makes the whole wall half as bright, including mucus."""
-    square, mucosa = make_square(60.0 * MM), replace(MUCOSAE["colon"], mucus=0.5)
+    square = make_square(60.0 * MM)
+    mucosa = replace(MUCOSAE["colon"], mucus=0.5, bile=0.2)
     dark = replace(mucosa, base_color=tuple(0.5 * c for c in mucosa.base_color))
     full, half = (
         decode(bake_appearance(square, seed=4, mucosa=character, texels_per_mm=2.0).albedo)

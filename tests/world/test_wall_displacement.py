@@ -52,6 +52,23 @@ def test_the_shell_has_room(narrow):
         np.testing.assert_array_equal(state.vertices_world[far], narrow.vertices_world[far])
 
 
+def test_a_fold_across_the_axis_gives_way(narrow):
+    """The wall yields along the whole body, also where a fold reaches beyond its axis."""
+    pose = _flight(narrow, 0.3, 0.7).state(6).T_world_capsule
+    half = narrow.device.length / 2.0 - narrow.device.radius
+    local = transform_points(invert(pose), narrow.vertices_world)
+    is_beside = local[:, 0] > 0.0
+    square = local[:, 1] ** 2 + (local[:, 2] - 0.5 * half) ** 2
+    height = np.where(is_beside, 4.6 * MM * np.exp(-0.5 * square / MM**2), 0.0)
+    folded = local - height[:, None] * np.array([1.0, 0.0, 0.0])
+    patient = transform_points(invert(narrow.T_world_patient) @ pose, folded)
+    model = Model(replace(narrow.organ, vertices=patient), narrow.device)
+    free = model.axis_clearance(pose[None])[0]
+    assert min(free[0], free[-1], free[len(free) // 2]) > 0.0 > free.min()
+    after = _from_axis(model, pose, WallDisplacement(model, model).vertices_world(pose))
+    assert np.linalg.norm(after, axis=1).min() > narrow.device.radius * (1.0 - 1e-9)
+
+
 def test_points_go_outwards_in_order(narrow):
     """Points move straight away from the axis, and farther ones stay farther."""
     path = _flight(narrow, 0.4, 0.6)

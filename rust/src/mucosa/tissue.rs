@@ -77,8 +77,12 @@ struct Structure {
 const ARTERIAL: [f32; 3] = [0.16, 1.0, 0.92];
 const VENOUS: [f32; 3] = [0.36, 1.0, 0.86];
 
-/// Optical density of bile-stained mucus in red, green and blue.
-const BILE: [f32; 3] = [0.04, 0.16, 1.0];
+/// Optical density of bile-stained mucus in red, green and blue: bilirubin absorbs blue, biliverdin
+/// red as well. The ratio of red to green does not depend on that of blue to green in capsule images.
+const BILE: [f32; 3] = [0.08, 0.13, 1.0];
+
+/// Maximum density of blood, relative to the mean, that a wall lacks.
+const PALEST: f32 = 0.25;
 
 /// Spacing of the finest network [mm].
 const MESH: f32 = 0.9;
@@ -121,7 +125,6 @@ pub struct Tissue {
     mucosa: Mucosa,
     grid: SegmentGrid,
     texel: f32,
-    redness: f32,
     /// Weight of slow variation along the gut, which compensates for missing variance of patches.
     slow: f32,
     contrast: f32,
@@ -143,7 +146,7 @@ pub struct Tissue {
 }
 
 impl Tissue {
-    /// Tissue of a patient: the seed sets the wall's redness and the contrast of its vessels.
+    /// Tissue of a patient: the seed sets the contrast of its vessels.
     pub fn new(mucosa: Mucosa, seed: u32, grid: SegmentGrid, texel: f32) -> Self {
         let patient = |number: u32| 2.0 * uniform(seed, 0x7061_7469, number) - 1.0;
         let noise =
@@ -152,9 +155,8 @@ impl Tissue {
             mucosa,
             grid,
             texel,
-            redness: mucosa.redness_variation * patient(0),
             slow: (1.0 + SLOW_SHARE * (1.0 - mucosa.patchiness * mucosa.patchiness)).sqrt(),
-            contrast: mucosa.vessel_contrast * (1.0 + 0.2 * patient(1)),
+            contrast: mucosa.vessel_contrast * (1.0 + 0.2 * patient(0)),
             tint: [0, 1, 2].map(|c| (mucosa.base_color[c] * mucosa.mucus_tint[c]).min(0.95)),
             border: FILM_DEVIATION * quantile(mucosa.mucus),
             patch: noise(0, 16.0),
@@ -187,7 +189,7 @@ impl Tissue {
 
     /// Mucosa without any detail.
     pub fn plain(&self) -> Samples {
-        let albedo = self.color(self.redness, 1.2 * self.mucosa.bile, 0.0, 0.0);
+        let albedo = self.color(0.0, 1.2 * self.mucosa.bile, 0.0, 0.0);
         Samples {
             albedo: albedo.map(|value| [value; LANES]),
             roughness: [self.mucosa.roughness; LANES],
@@ -236,7 +238,7 @@ impl Tissue {
             + patchy * (0.6 * mottle + 0.3 * grain - patch)
             + mucosa.network * structure.mesh[i];
         let clumped = 0.35 + 0.65 * smoothstep(-1.4, 1.0, mottle + 0.6 * grain);
-        let redness = self.redness + mucosa.redness_variation * shade - 0.08 * crest
+        let redness = not_paler(mucosa.redness_variation * shade - 0.08 * crest)
             + mucosa.pit_shade * gap * clumped;
         let film = patchy * smoothstep(0.6, 2.2, level);
         let stained = smoothstep(-1.3, 1.7, 0.8 * slow * places.region[i] + 1.3 * patchy * level);
@@ -392,6 +394,13 @@ impl Tissue {
         }
         height
     }
+}
+
+/// Optical density of blood relative to the mean, not below `-PALEST`: a wall is never without blood.
+#[inline(always)]
+fn not_paler(redness: f32) -> f32 {
+    let missing = max(-redness, 0.0);
+    max(redness, 0.0) - missing * PALEST / (PALEST + missing)
 }
 
 /// Quantile of the standard normal distribution for a probability to exceed it, to 0.01 from 0.02

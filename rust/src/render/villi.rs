@@ -26,6 +26,10 @@ const INWARD: f32 = 1.5;
 const SEEDS: [u32; 3] = [0x7669_6c6c, 0x7669_6c68, 0x7669_6c67];
 /// Pixels across villi below which gaps are invisible, and from which they are drawn fully.
 const RESOLVED: [f32; 2] = [1.1, 1.9];
+/// Pixels across villi from which, and up to which, gaps fade to `PRESSED` of their density: villi so
+/// near to the camera lie against the dome, which closes the gaps between them.
+const NEAR: [f32; 2] = [4.0, 8.0];
+const PRESSED: f32 = 0.4;
 /// Ratio of the sides of a pixel on that shape of the wall up to which gaps are invisible, and from
 /// which they are drawn fully: where a wall is gathered or pulled, gaps would be streaks.
 const ROUND: [f32; 2] = [0.25, 0.5];
@@ -33,7 +37,7 @@ const ROUND: [f32; 2] = [0.25, 0.5];
 const STROKES: f32 = 1.2;
 /// Density of gaps in a wall that faces the camera, relative to one seen aslant: the LEDs are next to
 /// the camera and light the ground of the former, by assumption.
-const FACING: f32 = 0.6;
+const FACING: f32 = 0.45;
 /// Optical density of a gap in red, green and blue relative to green.
 const GAP_COLOR: [f32; 3] = [0.7, 1.0, 1.1];
 /// Relative length in the gaps between villi, and difference of the distances to the nearest two
@@ -246,7 +250,9 @@ impl<'a> Seen<'a> {
             return 0.0;
         }
         let pixels = width / widest.sqrt();
-        smoothstep(RESOLVED[0], RESOLVED[1], pixels) * smoothstep(ROUND[0], ROUND[1], area / widest)
+        let apart = 1.0 - (1.0 - PRESSED) * smoothstep(NEAR[0], NEAR[1], pixels);
+        let is_round = smoothstep(ROUND[0], ROUND[1], area / widest);
+        apart * smoothstep(RESOLVED[0], RESOLVED[1], pixels) * is_round
     }
 
     /// Squared sine of the angle between the ray of a pixel and the normal of the wall.

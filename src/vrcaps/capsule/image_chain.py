@@ -36,8 +36,8 @@ class UnitVariation:
             to the `exposure_tolerance` of each frame.
     """
 
-    white_balance: _Spread = 0.15
-    color_matrix: _Spread = 0.03
+    white_balance: _Spread = 0.08
+    color_matrix: _Spread = 0.02
     lens_shading: _Spread = 0.25
     focus: _Spread = 0.12
     led: _Spread = 0.15
@@ -108,7 +108,7 @@ class ImageChain:
     color_matrix: tuple[Triple, Triple, Triple] = _IDENTITY
     contrast: Annotated[float, Range(min=0.25, max=4.0)] = 1.35
     luma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 0.7
-    chroma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 1.3
+    chroma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 1.1
     sharpening: Annotated[float, Range(min=0.0, max=10.0)] = 2.0
     sharpening_radius_px: Annotated[float, Range(min=0.3, max=10.0, unit="px")] = 2.0
     jpeg_quality: Annotated[int, Range(min=0, max=100)] = 75

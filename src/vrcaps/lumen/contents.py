@@ -223,7 +223,7 @@ class Medium:
     """
 
     prevalence: _Fraction = 1.0
-    absorption: tuple[_Coefficient, _Coefficient, _Coefficient] = (9.0, 28.0, 110.0)
+    absorption: tuple[_Coefficient, _Coefficient, _Coefficient] = (22.0, 34.0, 120.0)
     stain: tuple[_Coefficient, _Coefficient, _Coefficient] = (0.0, 0.0, 0.0)
     scattering: tuple[_Coefficient, _Coefficient, _Coefficient] = (120.0, 120.0, 120.0)
     anisotropy: Annotated[float, Range(min=0.0, below=1.0)] = 0.85

@@ -113,15 +113,15 @@ MUCOSAE: dict[str, Mucosa] = {
     "small-bowel": Mucosa(
         base_color=(0.326, 0.178, 0.121),
         redness_variation=0.30,
-        patchiness=0.45,
-        patient_variation=(0.12, 0.38),
-        bile=0.36,
+        patchiness=0.6,
+        patient_variation=(0.08, 0.42),
+        bile=0.30,
         vessel_contrast=0.2,
-        pit_spacing=0.42 * MM,
+        pit_spacing=0.36 * MM,
         pit_slope=0.11,
-        pit_shade=0.14,
+        pit_shade=0.10,
         pit_breaks=1.0,
-        pit_variation=0.75,
+        pit_variation=0.5,
         network=0.4,
         flecks=0.03,
         mucus=0.0,
@@ -132,7 +132,7 @@ MUCOSAE: dict[str, Mucosa] = {
 }
 """Mucosae by organ."""
 
-ABSORPTION = np.array([[0.16, 1.0, 0.92], [0.04, 0.16, 1.0]])
+ABSORPTION = np.array([[0.16, 1.0, 0.92], [0.08, 0.13, 1.0]])
 """Optical density in red, green and blue of blood, relative to green, and of bile, relative to
 blue; as in the compiled core (tissue.rs)."""
 

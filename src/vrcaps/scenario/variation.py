@@ -56,7 +56,7 @@ class Prevalence:
     film: float = 0.0
 
 
-STAIN = (1.0, 3.0, 15.0)
+STAIN = (1.5, 2.4, 15.0)
 """Median absorption of clear fluid in the small bowel for red, green and blue [1/m]: chosen so that
 blue falls from bright to dark parts of a frame as in real frames."""
 
@@ -65,14 +65,16 @@ _Color = tuple[float, float, float]
 BILE, RESIDUE, FLECKS = (0.4, 0.34, 0.08), (0.22, 0.12, 0.04), (0.5, 0.45, 0.36)
 """Linear colors of debris, by eye: stained by bile, brown, and white."""
 
-_TURBIDITY = 0.8
-"""Median scattering coefficient of turbid fluid, relative to that of `Medium`."""
+_TURBIDITY = (0.8, 0.72, 0.56)
+"""Median scattering coefficients of turbid fluid, relative to those of `Medium`. In a narrow lumen
+much of the light that fluid scatters was reflected by the wall before; it is tinted by the
+coefficients, because `Medium` is lit by the LEDs alone."""
 
 PREVALENCES: Mapping[str, Prevalence] = MappingProxyType(
     {
         "small-bowel": Prevalence(
             {None: 0.92, "normal": 0.08},
-            (0.5, 0.78),
+            (0.6, 0.78),
             bubbles=0.25,
             chyme=0.08,
             medium=0.35,
@@ -204,17 +206,16 @@ def _between(part: float, first: _Color, second: _Color) -> _Color:
 def _medium(of: Prevalence, rng: np.random.Generator) -> Medium | int:
     """Fluid of one patient: its stain, and prevalence, turbidity and bile of turbid fluid."""
     prevalence = _fraction(of.medium, rng)
-    turbidity = _TURBIDITY * math.exp(float(rng.normal(0.0, 0.3)))
+    turbidity = math.exp(float(rng.normal(0.0, 0.3)))
     bile = math.exp(float(rng.normal(0.0, 0.4)))
     flocs = float(rng.uniform(0.0, 500.0))
     stain = of.stain * math.exp(float(rng.normal(0.0, 0.5)))
     if prevalence == stain == 0.0:
         return 0
-    scattering = round(turbidity * Medium().scattering[0], 3)
     return Medium(
         prevalence=prevalence,
         absorption=_scaled(bile, Medium().absorption),
-        scattering=(scattering, scattering, scattering),
+        scattering=_scaled(turbidity * Medium().scattering[0], _TURBIDITY),
         stain=_scaled(stain, STAIN),
         spread=0.6,
         floc_extinction=round(flocs, 2),

@@ -152,14 +152,13 @@ class WallDisplacement:
     def _axis(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> tuple[float, float, float]:
         """Part of the body's axis in the lumen, and its minimum distance to the wall [m].
 
-        An end of the axis may be outside in a bend too sharp for the body.
+        An end of the axis may be outside in a bend too sharp for the body. Where a bend touches the
+        axis between points inside, the wall yields as well.
         """
         along = self.model.axis_coordinates
         free = self.model.axis_clearance(T_world_capsule[None])[0]
-        middle = len(along) // 2
-        outside = np.flatnonzero(free <= 0.0)
-        first = max((k + 1 for k in outside if k < middle), default=0)
-        last = min((k - 1 for k in outside if k > middle), default=len(along) - 1)
+        inside = np.flatnonzero(free > 0.0)
+        first, last = (inside[0], inside[-1]) if len(inside) else (0, len(along) - 1)
         least = max(float(free[first : last + 1].min()), 0.0)
         return float(along[first]), float(along[last]), least
 

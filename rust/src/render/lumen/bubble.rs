@@ -93,11 +93,13 @@ impl Film {
                 let rim = if front { shell.rim[i] } else { 0.0 };
                 let film = shell.film[usize::from(!front)][i];
                 let mirrored = film + (1.0 - film) * rim;
-                let through = (1.0 - mirrored) * if front { shell.shade[i] } else { 1.0 };
+                let shade = if front { shell.shade[i] } else { 1.0 };
+                let old = at(behind.radiance, i);
+                let below = shaded(old, shade);
                 for k in 0..3 {
-                    let old = behind.radiance[k][i];
-                    let new = (1.0 - stain[k] * rim) * (old * through + around[k][i] * mirrored);
-                    behind.radiance[k][i] = if seen[i] { new } else { old };
+                    let through = below[k] * (1.0 - mirrored);
+                    let new = (1.0 - stain[k] * rim) * (through + around[k][i] * mirrored);
+                    behind.radiance[k][i] = if seen[i] { new } else { old[k] };
                 }
             }
             let shared = &crossings.shared[usize::from(!front)];
@@ -190,6 +192,14 @@ struct Shell {
     rim: Lane,
     /// Relative radiance of the wall below.
     shade: Lane,
+}
+
+/// Radiance of a wall that loses a part of its direct light: the rest was reflected by other parts of
+/// the wall before, so that it has the wall's color twice.
+#[inline(always)]
+fn shaded(radiance: Vec3, shade: f32) -> Vec3 {
+    let peak = max(max(radiance[0], radiance[1]), max(radiance[2], 1e-30));
+    radiance.map(|value| value * shade * (shade + (1.0 - shade) * value / peak))
 }
 
 /// Minimum radiance of the surface behind relative to that of a wall that faces the LEDs.

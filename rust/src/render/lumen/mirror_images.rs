@@ -20,7 +20,7 @@ const STEEPEST: f32 = 15.2;
 
 /// Fraction of an LED's disc that is its bright die, by assumption; in a mirror image, which shows
 /// the disc, the light of all of it comes from there.
-const DIE: f32 = 0.4;
+const DIE: f32 = 0.15;
 
 /// Standard deviations beyond which a mirror image is invisible.
 const FADED: f32 = 3.5;

@@ -145,6 +145,31 @@ def test_a_normalized_prediction_does_not_depend_on_an_unknown_exposure() -> Non
     assert np.abs(known - plain).max() > 1e-3
 
 
+def test_a_mirrored_image_has_the_mirrored_prediction() -> None:
+    """With `mirroring` a prediction is equivariant; without it, an untrained network's is not."""
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+    from vrcaps.learn.augment import flip
+    from vrcaps.learn.samples import batch_of
+    from vrcaps.learn.tasks.depth import DepthTask
+
+    torch.manual_seed(0)
+    plain = DepthTask(backbone=Backbone(32))
+    mean = replace(plain, mirroring=True)
+    network = mean.network(is_pretrained=False).eval()
+    camera = Camera("a", LensPinhole(fx=50.0, fy=50.0, cx=44.0, cy=35.0), 96, 64)
+    given = plain.view_inputs(view_of(sequence(framed(), camera), 0, predicts_lengths=True))
+    for axis, component in ((1, 0), (0, 1)):
+        mirrored = flip(given, axis)
+        mirrored["ray"][..., component] *= -1.0
+        with torch.inference_mode():
+            one, other = (mean.output(network, batch_of([g]))[0, 0] for g in (given, mirrored))
+            network.mirroring = False
+            alone = [plain.output(network, batch_of([g]))[0, 0] for g in (given, mirrored)]
+            network.mirroring = True
+        np.testing.assert_allclose(np.flip(other.numpy(), axis), one, atol=1e-5)
+        assert np.abs(np.flip(alone[1].numpy(), axis) - alone[0].numpy()).max() > 1e-3
+
+
 def test_training_drops_the_exposure_of_a_fraction_of_images() -> None:
     pytest.importorskip("torch", reason="PyTorch is not installed")
     from vrcaps.learn.augment import Augmentation

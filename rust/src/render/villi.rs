@@ -35,6 +35,12 @@ const PRESSED: f32 = 0.4;
 const ROUND: [f32; 2] = [0.25, 0.5];
 /// Spacing of the lattice of strokes [spacings of villi].
 const STROKES: f32 = 1.2;
+/// Part of the gaps that surrounds each villus; the rest are strokes.
+const AROUND: f32 = 0.65;
+/// Difference of the distances to the nearest two centers at which the gap around a villus ends
+/// [cells], and the mean depth of such gaps.
+const GAP: f32 = 0.45;
+const MEAN_GAP: f32 = 0.45;
 /// Density of gaps in a wall that faces the camera, relative to one seen aslant: the LEDs are next to
 /// the camera and light the ground of the former, by assumption.
 const FACING: f32 = 0.45;
@@ -208,6 +214,7 @@ impl<'a> Seen<'a> {
     ) {
         let (columns, width) = (self.size.1, spacing / LEAF.sqrt());
         let strokes = Strokes::new(Lattice::new(SEEDS[2], STROKES * spacing));
+        let cells = Cells::new(SEEDS[0], spacing);
         let mut lines: Vec<_> = planes.axis_iter_mut(Axis(1)).collect();
         lines.par_iter_mut().enumerate().for_each(|(y, line)| {
             for start in (0..columns).step_by(LANES) {
@@ -228,8 +235,10 @@ impl<'a> Seen<'a> {
                     continue;
                 }
                 let depths = strokes.depths(&lanes);
+                let borders = cells.borders(&leaf_space(&lanes, LEAF));
                 for i in 0..count {
-                    let density = weights[i] * depths[i];
+                    let around = 1.0 - smoothstep(0.0, GAP, borders[i]) - MEAN_GAP;
+                    let density = weights[i] * (depths[i] + AROUND * (around - depths[i]));
                     for k in 0..3 {
                         line[[k, start + i]] *= exp(-GAP_COLOR[k] * density);
                     }

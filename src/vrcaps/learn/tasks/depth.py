@@ -62,6 +62,9 @@ MIDDLE = 0.03
 
 _DARK = 0.004
 """Offset of the linear brightness in the light cue: one step of 8 bits."""
+_MIRRORED = ((), (3,), (2,), (2, 3))
+"""Axes along which an image [b 3 s s] is mirrored: columns (3), whose rays change the sign of x, and
+rows (2), whose rays change that of y."""
 _SCALES = 4
 _MAX_EXPOSURE = 4.0
 """Maximum change of an exposure that is treated as unknown, as a factor."""
@@ -81,6 +84,8 @@ class DepthTask(BackboneTask[DepthTerms]):
             its brightness implies, so that predictions do not depend on it. Otherwise predicted
             distances are scaled, and independence of it depends on training. See
             `log_scale_of`.
+        mirroring: Whether a prediction is the mean over the image and its three mirror images
+            (test-time augmentation), which takes four times as long.
         exposure_dropout: Fraction of training images whose exposure is treated as unknown: changed
             by up to a factor of 4, and compensated as in prediction.
         augmentation: Random changes of training images. Colors are changed only where the exposure
@@ -91,6 +96,7 @@ class DepthTask(BackboneTask[DepthTerms]):
     has_light_cue: bool = True
     gradient_weight: Annotated[float, Range(0.0, MAX_WEIGHT)] = 0.5
     normalizes_exposure: bool = False
+    mirroring: bool = False
     exposure_dropout: Annotated[float, Range(0.0, 1.0)] = 0.25
     augmentation: Augmentation = field(default_factory=lambda: Augmentation(1.2, 1.2, 1.15, 0.6))
 
@@ -165,7 +171,12 @@ class DepthTask(BackboneTask[DepthTerms]):
 
     def network(self, *, is_pretrained: bool) -> nn.Module:
         """Create a network from batches to ln(depth / 30 mm) [b 1 s s]."""
-        return DepthNetwork(self.backbone, self.has_light_cue, is_pretrained=is_pretrained)
+        return DepthNetwork(
+            self.backbone,
+            self.has_light_cue,
+            is_pretrained=is_pretrained,
+            mirroring=self.mirroring,
+        )
 
     def output(self, network: nn.Module, batch: Batch) -> Tensor:
         """Return ln(depth / 30 mm) [b 1 s s] of images, converted to the camera's own exposure."""
@@ -243,14 +254,32 @@ def depth_summary(terms: Sequence[DepthTerms]) -> Mapping[str, float]:
 
 
 class DepthNetwork(UNet):
-    """U-Net on color, rays and the light cue."""
+    """U-Net on color, rays and the light cue; with `mirroring`, the mean over mirror images."""
 
-    def __init__(self, backbone: Backbone, has_light_cue: bool, *, is_pretrained: bool) -> None:
+    def __init__(
+        self,
+        backbone: Backbone,
+        has_light_cue: bool,
+        *,
+        is_pretrained: bool,
+        mirroring: bool = False,
+    ) -> None:
         super().__init__(backbone, 6 + has_light_cue, 1, is_pretrained=is_pretrained)
-        self.has_light_cue = has_light_cue
+        self.has_light_cue, self.mirroring = has_light_cue, mirroring
 
     def forward(self, image: Tensor, *maps: Tensor) -> Tensor:
         """Return ln(depth / 30 mm) [b 1 s s] of color images and rays."""
+        if self.training or not self.mirroring:
+            return self._log_depth(image, *maps)
+        (ray,) = maps
+        total = torch.zeros_like(image[:, :1])
+        for axes in _MIRRORED:
+            sign = ray.new_tensor([1.0 - 2.0 * (axis in axes) for axis in (3, 2, 1)])
+            mirrored = ray.flip(axes) * sign.view(3, 1, 1)
+            total = total + self._log_depth(image.flip(axes), mirrored).flip(axes)
+        return total / len(_MIRRORED)
+
+    def _log_depth(self, image: Tensor, *maps: Tensor) -> Tensor:
         cue = [light_cue(image)] if self.has_light_cue else []
         compressed = torch.where(image > 1.0, 1.0 + 0.5 * torch.log(image.clamp(min=1.0)), image)
         return super().forward(compressed, *maps, *cue)

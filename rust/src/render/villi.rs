@@ -1,10 +1,10 @@
 //! Villi: gaps between those seen from above, and a fringe of those at the outlines of folds.
 //!
-//! The wall of the scene ends at the bases of the villi. Seen from above, the gaps between them are
-//! dark strokes, in more detail than a texture of a whole gut could hold; they fade where pixels do
-//! not resolve them. Along an outline villi are seen from the side: a pixel behind it within the
-//! length of a villus takes the radiance of the wall at the nearest pixel of the outline. Strokes and
-//! lengths are fixed to one shape of the wall, so villi stay in their places while the wall moves.
+//! The wall of the scene ends at the bases of the villi. Seen from above, the gaps between them are a
+//! dark network, deeper in strokes, in more detail than a texture of a whole gut could hold; they
+//! fade where pixels do not resolve them. Along an outline villi are seen from the side: a pixel
+//! behind it within the length of a villus takes the radiance of the wall at the nearest pixel of the
+//! outline. Gaps and lengths are fixed to one shape of the wall, so villi stay in their places while the wall moves.
 //! Only radiance changes; depth and labels are those of the wall.
 
 use crate::mucosa::noise::{Cells, DEVIATION, Lattice, Vec3, exp, smoothstep};
@@ -40,7 +40,7 @@ const AROUND: f32 = 0.65;
 /// Difference of the distances to the nearest two centers at which the gap around a villus ends
 /// [cells], and the mean depth of such gaps.
 const GAP: f32 = 0.45;
-const MEAN_GAP: f32 = 0.45;
+const MEAN_GAP: f32 = 0.59;
 /// Density of gaps in a wall that faces the camera, relative to one seen aslant: the LEDs are next to
 /// the camera and light the ground of the former, by assumption.
 const FACING: f32 = 0.45;

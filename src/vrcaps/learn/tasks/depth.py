@@ -63,8 +63,8 @@ MIDDLE = 0.03
 _DARK = 0.004
 """Offset of the linear brightness in the light cue: one step of 8 bits."""
 _MIRRORED = ((), (3,), (2,), (2, 3))
-"""Axes along which an image [b 3 s s] is mirrored: columns (3), whose rays change the sign of x, and
-rows (2), whose rays change that of y."""
+"""Axes along which an image [b 3 s s] is mirrored: columns (3), whose rays change the sign of x,
+and rows (2), whose rays change that of y."""
 _SCALES = 4
 _MAX_EXPOSURE = 4.0
 """Maximum change of an exposure that is treated as unknown, as a factor."""

@@ -158,7 +158,9 @@ class LumenClosure:
         T_world_capsule: Float[np.ndarray, "4 4"],
         half_length: float,
     ) -> tuple[HarmonicPatch, ...]:
-        """Parts of the wall next to a capsule to relax, as folds intersect there.
+        """Parts of the wall to relax, next to a capsule and where the lumen opens beyond it.
+
+        Folds intersect there depending on the pose.
 
         Args:
             vertices_world: Vertices of the wall around the capsule [m].
@@ -167,8 +169,10 @@ class LumenClosure:
         """
         s_axis, _ = self._axis(T_world_capsule, half_length)
         faces, s = self._faces_by_arc_length
-        near = slice(*np.searchsorted(s, [s_axis[0] - _BESIDE, s_axis[-1] + _BESIDE]))
-        return untangle(vertices_world, faces[near])
+        reach = np.array([_BESIDE, _REACH, _REACH + _FADE])
+        before, beyond = np.searchsorted(s, [s_axis[0] - reach, s_axis[-1] + reach])
+        ranges = (before[2], before[1]), (before[0], beyond[0]), (beyond[1], beyond[2])
+        return untangle(vertices_world, np.concatenate([faces[i:j] for i, j in ranges]))
 
     @cached_property
     def _faces_by_arc_length(self) -> tuple[Int[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:

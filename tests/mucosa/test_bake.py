@@ -512,6 +512,7 @@ def test_mucus_covers_its_share_of_the_wall():
 def test_mucus_follows_the_palette():
     """Half the base color makes the whole wall half as bright, including mucus."""
     square = make_square(60.0 * MM)
+    # With more bile, blue is cut at its minimum below the mucus, where the mask does not show it.
     mucosa = replace(MUCOSAE["colon"], mucus=0.5, bile=0.2)
     dark = replace(mucosa, base_color=tuple(0.5 * c for c in mucosa.base_color))
     full, half = (

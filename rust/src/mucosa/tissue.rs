@@ -148,7 +148,7 @@ pub struct Tissue {
 impl Tissue {
     /// Tissue of a patient: the seed sets the contrast of its vessels.
     pub fn new(mucosa: Mucosa, seed: u32, grid: SegmentGrid, texel: f32) -> Self {
-        let patient = |number: u32| 2.0 * uniform(seed, 0x7061_7469, number) - 1.0;
+        let patient = 2.0 * uniform(seed, 0x7061_7469, 0) - 1.0;
         let noise =
             |stream: u32, size: f32| Lattice::new(seed.wrapping_mul(31).wrapping_add(stream), size);
         Self {
@@ -156,7 +156,7 @@ impl Tissue {
             grid,
             texel,
             slow: (1.0 + SLOW_SHARE * (1.0 - mucosa.patchiness * mucosa.patchiness)).sqrt(),
-            contrast: mucosa.vessel_contrast * (1.0 + 0.2 * patient(0)),
+            contrast: mucosa.vessel_contrast * (1.0 + 0.2 * patient),
             tint: [0, 1, 2].map(|c| (mucosa.base_color[c] * mucosa.mucus_tint[c]).min(0.95)),
             border: FILM_DEVIATION * quantile(mucosa.mucus),
             patch: noise(0, 16.0),

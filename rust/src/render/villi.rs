@@ -4,8 +4,8 @@
 //! dark network, deeper in strokes, in more detail than a texture of a whole gut could hold; they
 //! fade where pixels do not resolve them. Along an outline villi are seen from the side: a pixel
 //! behind it within the length of a villus takes the radiance of the wall at the nearest pixel of the
-//! outline. Gaps and lengths are fixed to one shape of the wall, so villi stay in their places while the wall moves.
-//! Only radiance changes; depth and labels are those of the wall.
+//! outline. Gaps and lengths are fixed to one shape of the wall, so villi stay in their places while
+//! the wall moves. Only radiance changes; depth and labels are those of the wall.
 
 use crate::mucosa::noise::{Cells, DEVIATION, Lattice, Vec3, exp, smoothstep};
 use crate::mucosa::strokes::{LEAF, Strokes, leaf_space};
@@ -247,7 +247,8 @@ impl<'a> Seen<'a> {
         });
     }
 
-    /// Weight of gaps between villi of a width at a pixel: 1 if pixels resolve them, 0 if they do not.
+    /// Weight of gaps between villi of a width at a pixel: 1 if pixels resolve them, 0 if they do not,
+    /// less next to the dome.
     fn resolved(&self, places: &[Vec3], pixel: usize, width: f32) -> f32 {
         let step =
             |next: usize| places.get(next).map_or([f32::NAN; 3], |&next| sub(next, places[pixel]));
@@ -259,9 +260,9 @@ impl<'a> Seen<'a> {
             return 0.0;
         }
         let pixels = width / widest.sqrt();
-        let apart = 1.0 - (1.0 - PRESSED) * smoothstep(NEAR[0], NEAR[1], pixels);
-        let is_round = smoothstep(ROUND[0], ROUND[1], area / widest);
-        apart * smoothstep(RESOLVED[0], RESOLVED[1], pixels) * is_round
+        let open = 1.0 - (1.0 - PRESSED) * smoothstep(NEAR[0], NEAR[1], pixels);
+        let round = smoothstep(ROUND[0], ROUND[1], area / widest);
+        open * smoothstep(RESOLVED[0], RESOLVED[1], pixels) * round
     }
 
     /// Squared sine of the angle between the ray of a pixel and the normal of the wall.

@@ -272,12 +272,12 @@ class DepthNetwork(UNet):
         if self.training or not self.mirroring:
             return self._log_depth(image, *maps)
         (ray,) = maps
-        total = torch.zeros_like(image[:, :1])
+        log_depths = []
         for axes in _MIRRORED:
             sign = ray.new_tensor([1.0 - 2.0 * (axis in axes) for axis in (3, 2, 1)])
             mirrored = ray.flip(axes) * sign.view(3, 1, 1)
-            total = total + self._log_depth(image.flip(axes), mirrored).flip(axes)
-        return total / len(_MIRRORED)
+            log_depths.append(self._log_depth(image.flip(axes), mirrored).flip(axes))
+        return torch.stack(log_depths).mean(dim=0)
 
     def _log_depth(self, image: Tensor, *maps: Tensor) -> Tensor:
         cue = [light_cue(image)] if self.has_light_cue else []

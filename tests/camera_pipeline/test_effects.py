@@ -22,9 +22,8 @@ def test_effects_as_a_user_writes_them() -> None:
         motion_blur=2, bayer_filter=BayerFilter("grbg")
     )
     assert parse_effects("noise=1..3") == Effects(sensor_noise=(1, 3))
-    assert parse_effects("random,jpeg=0") == Effects(
-        **dict.fromkeys(SEVERITIES, (0, MAX_SEVERITY)) | {"jpeg": 0}
-    )
+    assert parse_effects("jpeg=3,random,noise=0") == Effects(sensor_noise=0, random=True)
+    assert parse_effects("random,none") == Effects.none()
     assert parse_effects("all=2").bloom == 2
     assert parse_effects("afr=2..6").adaptive_frame_rate == AdaptiveFrameRate(2.0, 6.0)
     assert parse_effects("ae=settled").auto_exposure == AutoExposure(0.0)
@@ -100,6 +99,20 @@ def test_sampled_severities_are_fair_and_independent() -> None:
     assert all(alone.sample(seed).sensor_noise == sampled[seed].sensor_noise for seed in range(50))
     pair = np.array([(effects.sensor_noise, effects.jpeg) for effects in sampled])
     assert abs(np.corrcoef(pair.T)[0, 1]) < 0.15
+
+
+def test_random_effects_are_few_and_moderate() -> None:
+    random = Effects(jpeg=0, random=True)
+    sampled = [random.sample(seed) for seed in range(200)]
+    assert sampled[5] == random.sample(5)
+    drawn = [{n: v for n in SEVERITIES if (v := getattr(one, n))} for one in sampled]
+    assert {len(one) for one in drawn} == {3, 4, 5}
+    assert {severity for one in drawn for severity in one.values()} == {1, 2}
+    assert {name for one in drawn for name in one} == set(SEVERITIES) - {"jpeg"}
+    assert not any(one.random for one in sampled)
+    with pytest.raises(InputError, match=r"Effects are random. Call sample\(seed\) first"):
+        random.resolve("jpeg")
+    assert Effects(**dict.fromkeys(SEVERITIES, 0), random=True).sample(0).is_ideal
 
 
 def test_exact_parameters_take_the_place_of_a_severity() -> None:

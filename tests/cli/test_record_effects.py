@@ -25,6 +25,7 @@ def test_effects_reach_the_scenario() -> None:
     assert resolved("noise=1..3,bayer=bggr") == Effects(
         sensor_noise=(1, 3), bayer_filter=BayerFilter("bggr")
     )
+    assert resolved("bloom=1,random,jpeg=0") == Effects(jpeg=0, random=True)
     assert Record().resolved().effects == Effects()
 
 

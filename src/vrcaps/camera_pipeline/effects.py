@@ -70,7 +70,8 @@ class Effects:
     Each field is a severity from 0 (off) to 4, a range of severities from which a recording samples
     one, or the effect with exact parameters. None is the capsule's own, see `of_device`, and leaves
     the scene unchanged. The class of a field documents the effect. To add an effect, add its class
-    to the file of its stage in `camera_pipeline/effect` and its field here.
+    to the file of its stage in `camera_pipeline/effect` and its field here. With `random`, a
+    recording also samples three to five of the effects that are None, at severity 1 or 2.
 
     Example:
         >>> effects = vrcaps.Effects(depth_of_field=2, sensor_noise=(1, 3), jpeg=1)
@@ -101,6 +102,7 @@ class Effects:
     sharpening: Severity | Sharpening | None = None
     jpeg: Severity | Jpeg | None = None
     adaptive_frame_rate: Literal[0] | AdaptiveFrameRate | None = None
+    random: bool = False
 
     def __post_init__(self) -> None:
         plain_fields(self)
@@ -143,22 +145,32 @@ class Effects:
     def sample(self, seed: int) -> Effects:
         """Return the effects with a severity sampled from each range, determined by the seed.
 
-        A severity does not depend on the presence of other effects.
+        A severity of a range does not depend on the presence of other effects.
         """
-        severities: dict[str, int] = {}
+        severities = self._random_severities(seed) if self.random else {}
         for name in SEVERITIES:
             value = getattr(self, name)
             if isinstance(value, tuple):
                 rng = stream(seed, f"camera/severity/{name}")
                 severities[name] = int(rng.integers(value[0], value[1], endpoint=True))
-        return replace(self, **severities)  # type: ignore[arg-type]
+        return replace(self, random=False, **severities)  # type: ignore[arg-type]
+
+    def _random_severities(self, seed: int) -> dict[str, int]:
+        """Severities of a few of the effects that are None."""
+        rng = stream(seed, "camera/random")
+        names = [name for name in SEVERITIES if getattr(self, name) is None]
+        count = min(int(rng.integers(*_RANDOM_COUNT, endpoint=True)), len(names))
+        chosen = rng.permutation(len(names))[:count]
+        return {names[i]: int(rng.integers(*_RANDOM_SEVERITY, endpoint=True)) for i in chosen}
 
     def resolve(self, name: str) -> Any:
         """Return one effect with its parameters; None if it is off.
 
         Raises:
-            InputError: If it is still a range of severities.
+            InputError: If it is still a range of severities, or random.
         """
+        if self.random:
+            raise InputError("Effects are random. Call sample(seed) first.")
         value = getattr(self, name)
         if isinstance(value, tuple):
             raise InputError(f"Effect {name} is a range of severities. Call sample(seed) first.")
@@ -224,7 +236,9 @@ def _effect_of(hint: Any) -> type[Effect]:
 
 
 EFFECTS: dict[str, type[Effect]] = {
-    f.name: _effect_of(get_type_hints(Effects)[f.name]) for f in fields(Effects)
+    f.name: _effect_of(get_type_hints(Effects)[f.name])
+    for f in fields(Effects)
+    if f.name != "random"
 }
 """Classes of all effects by name, in their order."""
 
@@ -240,9 +254,12 @@ _OF_CAMERA = [name for name, kind in EFFECTS.items() if not issubclass(kind, Sce
 SHORT_NAMES = {kind.short: name for name, kind in EFFECTS.items() if kind.short}
 """Short names of effects."""
 
-_ALL, _RANDOM, _NONE = "all", "random", "none"
-DEFAULT = "default"
-"""Name of the capsule's own camera, see `parse_effects`."""
+_ALL, _RANDOM, _NONE, _DEFAULT = "all", "random", "none", "default"
+RESETS = (_DEFAULT, _NONE, _RANDOM)
+"""Items of `parse_effects` that override all effects of the camera."""
+_RANDOM_COUNT, _RANDOM_SEVERITY = (3, 5), (1, 2)
+"""Ranges of the number of random effects and of their severities: higher ones of several effects
+together yield unusable images."""
 
 
 class _All(Effect):
@@ -257,9 +274,9 @@ def parse_effects(text: str) -> Effects:
 
     Items are separated by commas; later items override earlier ones: `default` for the capsule's
     own camera, `none` for an ideal camera with fixed exposure, `NAME=SEVERITY`, `NAME=FIRST..LAST`
-    to sample a severity, `all=SEVERITY` for every effect, `random` for `all=0..4`; `ae=settled`,
-    `bayer=rggb`, and `afr=MIN..MAX` in frames per second. Effects that are not named are the
-    capsule's own.
+    to sample a severity, `all=SEVERITY` for every effect, `random` to sample three to five effects
+    at severity 1 or 2; `ae=settled`, `bayer=rggb`, and `afr=MIN..MAX` in frames per second. Effects
+    that are not named are the capsule's own.
 
     Raises:
         UnknownNameError: If an effect does not exist.
@@ -270,17 +287,14 @@ def parse_effects(text: str) -> Effects:
         name, equals, value = item.partition("=")
         name, value = name.strip().replace("-", "_"), value.strip()
         name = SHORT_NAMES.get(name, name)
-        if equals and name in (_RANDOM, _NONE, DEFAULT):
+        if equals and name in RESETS:
             raise InputError(
                 f"{name} has the value {value!r}. Allowed: {name} alone, or all=0 to "
                 f"all={MAX_SEVERITY}."
             )
-        if name == _RANDOM:
-            values |= dict.fromkeys(SEVERITIES, (0, MAX_SEVERITY))
-        elif name == _NONE:
-            values |= dict.fromkeys(_OF_CAMERA, 0)
-        elif name == DEFAULT:
-            values |= dict.fromkeys(_OF_CAMERA)
+        if name in RESETS:
+            values |= dict.fromkeys(_OF_CAMERA, 0 if name == _NONE else None)
+            values["random"] = name == _RANDOM
         elif name == _ALL:
             severity = _All.parse(value)
             _check(_All, severity)
@@ -288,9 +302,7 @@ def parse_effects(text: str) -> Effects:
         elif name in EFFECTS:
             values[name] = 0 if value == "0" else EFFECTS[name].parse(value)
         else:
-            raise UnknownNameError(
-                "effect", name, (*EFFECTS, *SHORT_NAMES, _ALL, _RANDOM, _NONE, DEFAULT)
-            )
+            raise UnknownNameError("effect", name, (*EFFECTS, *SHORT_NAMES, _ALL, *RESETS))
     return Effects(**values)
 
 

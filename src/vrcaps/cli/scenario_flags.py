@@ -89,9 +89,9 @@ _LESION = """Lesion to put into the organ; repeat for more. A kind, then the set
 from its defaults: polyp-Ip:size=12mm,segment=sigmoid, colitis-2, bleeding-3. vrcaps organ list
 lists all."""
 _EFFECTS = """Camera effects by severity 0 to 4, such as dof=1,noise=2, noise=1..3 (a range, sampled
-by the seed), all=2, random, ae=settled, bayer=rggb, afr=4..35; default is the capsule's own camera,
-none an ideal camera of fixed exposure. An effect that is not named is the capsule's own. vrcaps
-organ list lists all effects."""
+by the seed), all=2, random (three to five effects at severity 1 or 2), ae=settled, bayer=rggb,
+afr=4..35; default is the capsule's own camera, none an ideal camera of fixed exposure. An effect
+that is not named is the capsule's own. vrcaps organ list lists all effects."""
 
 OrganFlags = _flags(
     "Organ",
@@ -195,10 +195,12 @@ def _patient_changes(flags: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 def _effect_changes(text: str) -> Iterator[tuple[str, Any]]:
     from vrcaps.camera_pipeline.effect.base import SceneEffect
-    from vrcaps.camera_pipeline.effects import DEFAULT, EFFECTS, Effects, parse_effects
+    from vrcaps.camera_pipeline.effects import EFFECTS, RESETS, Effects, parse_effects
     from vrcaps.config.convert import to_plain
 
-    is_reset = DEFAULT in (item.strip() for item in text.split(","))
+    is_reset = any(item.strip() in RESETS for item in text.split(","))
+    of_scene = [name for name, kind in EFFECTS.items() if issubclass(kind, SceneEffect)]
     for name, value in to_plain(parse_effects(text), Effects).items():
-        if value is not None or (is_reset and not issubclass(EFFECTS[name], SceneEffect)):
+        is_given = value is not None and value is not False
+        if is_given or (is_reset and name not in of_scene):
             yield f"effects.{name}", value

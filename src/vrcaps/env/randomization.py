@@ -40,6 +40,7 @@ _REFUSED = (
     "motion_blur",
     "rolling_shutter",
     "adaptive_frame_rate",
+    "random",
 )
 """Effects that change the wall or an image's size or time, or need neighboring frames."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,10 +13,12 @@ from pathlib import Path
 import pytest
 
 from vrcaps import cli
+from vrcaps.cli import learn
 from vrcaps.cli.episodes import Check
 from vrcaps.cli.record import Record, _free_folder
 from vrcaps.core.errors import InputError
 from vrcaps.core.fields import FileRef
+from vrcaps.learn.hub import read_index
 from vrcaps.lumen.preparation import prepared
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough
@@ -98,6 +101,8 @@ def test_flags_reach_the_scenario() -> None:
     assert (scenario.frames, scenario.fps, scenario.seed) == (7, 2.5, 4)
     assert (scenario.capsule, scenario.posture) == ("pillcam-sb3", "prone")
     assert scenario.channels == ("rgb", "depth")
+    again = cli._parse(["record", "--out", "o", "--channels", "rgb,depth"])
+    assert isinstance(again, Record) and again.resolved().channels == ("rgb", "depth")
     assert scenario.motion == FlyThrough(start=0.0, drift=0.1)
     assert (scenario.render.light, scenario.render.spp) == ("path", 64)
     assert scenario.sensors == Sensors(imu=Imu(), hall=HallPad())
@@ -315,6 +320,22 @@ def test_registered_tasks_are_commands(
             cli.main([verb, "--help"])
         listed = capsys.readouterr().out
         assert all(f"• {task} " in listed for task in TASKS)
+
+
+def test_the_choice_between_published_weights_of_a_task_is_shown(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    given = learn._find_weights("depth", "depth")
+    assert capsys.readouterr().out == ""
+    assert learn._find_weights("", "depth") == given
+    choice, names = " ".join(capsys.readouterr().out.split()), read_index(str(given.parent))
+    for name in re.findall(r"--weights (\S+)", choice):
+        assert names[name].task == "depth"
+    for verb, is_with_unit in (("evaluate", False), ("predict", True)):
+        with pytest.raises(SystemExit):
+            cli.main([verb, "depth", "--help"])
+        text = " ".join(capsys.readouterr().out.split())
+        assert choice in text and ("in steps of 10 µm" in text) == is_with_unit
 
 
 @pytest.mark.parametrize("words", [["--help"], ["train", "--help"], ["predict", "depth", "--help"]])

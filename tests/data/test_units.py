@@ -148,5 +148,5 @@ def test_bad_plan_files_are_one_clear_line(tmp_path: Path) -> None:
     path.write_text('[dataset]\nname = "x"\n[motion]\nspeed = { uniform = [2, 1] }\n')
     with pytest.raises(InputError, match=r"motion\.speed"):
         read_plan(path)
-    with pytest.raises(InputError, match="adds up to"):
-        Split(0.5, 0.1, 0.1)
+    with pytest.raises(InputError, match=r"adds up to 1\.15: train 0\.5, val 0\.15, test 0\.5"):
+        Split(train=0.5, test=0.5)

@@ -66,6 +66,8 @@ def test_depth_is_ray_distance_times_the_ray(recorded):
 def test_metadata(recorded, scenario):
     episode = read_episode(recorded)
     assert len(episode) == 5
+    about = f"Episode({recorded.name!r}, 5 frames, cameras front rear, channels rgb "
+    assert repr(episode).startswith(about) and "\n" not in repr(episode)
     assert episode.channels == tuple(CHANNELS)
     assert [camera.name for camera in episode.cameras] == ["front", "rear"]
     assert episode.label_names == ("background", "upper", "lower")

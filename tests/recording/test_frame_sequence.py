@@ -28,6 +28,11 @@ def test_a_name_is_a_relative_path(sequence, name):
         replace(sequence, name=name)
 
 
+def test_a_sequence_is_described_in_one_line(sequence):
+    short = replace(sequence, channels=("rgb", "depth"))
+    assert repr(short) == f"FrameSequence({short.name!r}, 3 frames, channels rgb depth)"
+
+
 def test_splits_and_channels_are_known(sequence):
     with pytest.raises(UnknownNameError, match=r"No split of ball/front named '\.\./x'"):
         replace(sequence, split="../x")

@@ -14,7 +14,7 @@ class _Measurement:
     """Markdown page to write the results to, as a section; by default they are only printed."""
 
     quick: bool = False
-    """Only check that everything runs; the values are meaningless."""
+    """Only check that everything runs, in at most two minutes; the values are meaningless."""
 
 
 @dataclass(frozen=True)

@@ -194,9 +194,7 @@ class _Evaluate:
             InputError: If weights and data do not match.
         """
         require_sources(self.data)
-        from vrcaps.learn.hub import find_weights
-
-        weights = find_weights(self.weights, self.task)
+        weights = _find_weights(self.weights, self.task)
         from vrcaps.cli.learn_tables import (
             print_evaluation,
             print_perturbed,
@@ -266,9 +264,7 @@ class _Predict:
             InputError: If weights and images do not match.
         """
         require_sources((self.images,))
-        from vrcaps.learn.hub import find_weights
-
-        weights = find_weights(self.weights, self.task)
+        weights = _find_weights(self.weights, self.task)
         from vrcaps.core.files import require_new_folder
         from vrcaps.learn.checkpoint import read_weights
         from vrcaps.learn.prediction import images_of, predict
@@ -289,7 +285,18 @@ class _Predict:
         with progress_bar("predicting") as show:
             skipped = predict(trained, images, self.out, field_of_view=field, progress=show)
         _report_skipped(skipped)
-        console.print(f"Written: {self.out}, with contact sheet sheet.png.")
+        unit = f" {_UNITS[self.task]}" if self.task in _UNITS else ""
+        console.print(f"Written: {self.out}, with contact sheet sheet.png.{unit}")
+
+
+def _find_weights(given: str, task: str) -> Path:
+    """Resolve the weights of a command; print the alternatives to those of the task."""
+    from vrcaps.learn.hub import find_weights
+
+    path = find_weights(given, task)
+    if not given and task in _CHOICES:
+        console.print(_CHOICES[task])
+    return path
 
 
 def _report_lenses(images: Sequence[FrameSequence]) -> None:
@@ -334,6 +341,17 @@ def _report_skipped(skipped: dict[str, str]) -> None:
 
 _PUBLISHED = {"depth", "segmentation", "classification", "super-resolution"}
 """Tasks whose examples need no file of weights."""
+_CHOICES = {
+    "depth": "Published weights: --weights depth (the default) for colonoscopes and wide lumens, "
+    "--weights depth-capsule for recordings of capsules and narrow lumens."
+}
+"""Choice between several published weights of a task."""
+_UNITS = {
+    "depth": "Depth is in 16-bit PNG files, in steps of 10 µm; 0 is no value.",
+    "sfm": "Distances along rays are in 16-bit PNG files, in steps of 10 µm at a reference scale "
+    "of 30 mm; 0 is no value.",
+}
+"""Unit of the written images of a task."""
 _EXAMPLES = {
     "train": """  vrcaps train {0} --data runs/cohort --out runs/{0}
   vrcaps train {0} --data runs/cohort --out runs/{0}-try --preset ci
@@ -365,5 +383,7 @@ def command(verb: str, task: str) -> Any:
         lines.append(_PHOTOS.format(task, _LENS.get(task, "")))
     base = {"evaluate": _Evaluate, "predict": _Predict}[verb]
     own = {"task": task, "__module__": __name__}
-    own["__doc__"] = f"{TASKS.summary(task)}\n\nFor example:\n" + "\n".join(lines)
+    notes = [_CHOICES.get(task), _UNITS.get(task) if verb == "predict" else None]
+    about = "\n\n".join((TASKS.summary(task), *filter(None, notes)))
+    own["__doc__"] = f"{about}\n\nFor example:\n" + "\n".join(lines)
     return dataclass(frozen=True, kw_only=True)(type(verb, (base,), own))

@@ -80,7 +80,7 @@ def _summarize(out: Path, times: list[float], seconds: float) -> None:
 
     episode = read_episode(out)
     cameras = ", ".join(camera.name for camera in episode.cameras)
-    frames = f"{len(episode)} frames of {cameras}"
+    frames = f"{len(episode)} {'frame' if len(episode) == 1 else 'frames'} of {cameras}"
     if times:
         console.print(f"Recorded {frames} into {out} in {seconds:.1f} s", end="")
     else:

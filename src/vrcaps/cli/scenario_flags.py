@@ -112,8 +112,8 @@ OrganFlags = _flags(
     preparation=(
         int | None,
         None,
-        "Bowel preparation by the Boston scale: 3 clean, 2 fragments, 1 parts of the wall hidden, "
-        "0 full of stool. Sets the contents of the lumen.",
+        "Bowel preparation by the Boston scale: 3 clean, 2 fragments, 1 stool and turbid liquid, "
+        "0 stool everywhere. Sets the contents of the lumen.",
     ),
 )
 MotionFlags = _flags(
@@ -157,6 +157,8 @@ def changes(flags: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         yield "motion.kind", flags["motion"]
     for flag, path in _PATHS.items():
         value = flags[flag]
+        if flag == "channels" and value is not None:  # rgb,depth is accepted as well
+            value = " ".join(value).replace(",", " ").split()
         if value is not None and value is not False and flag not in ("patient_seed", "steer"):
             yield path, list(value) if isinstance(value, tuple) else value
     for name in flags["sensors"]:

@@ -47,7 +47,11 @@ class Split:
         check_fields(self)
         total = self.train + self.val + self.test
         if abs(total - 1.0) > 1e-6:
-            raise InputError(f"split adds up to {total:g}. Allowed: 1.")
+            parts = f"train {self.train:g}, val {self.val:g}, test {self.test:g}"
+            raise InputError(
+                f"split adds up to {total:g}: {parts}. Allowed: 1; what is omitted has its default, "
+                "train 0.7, val 0.15, test 0.15."
+            )
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,8 @@ class Augmentation:
         color_jitter: Maximum change of each color channel, as a factor.
         gamma_jitter: Maximum exponent. With 1 for all four jitters, colors are not changed.
         min_crop: Minimum side of a random crop, relative to the image; 1 is the whole image.
-        tone_jitter: Maximum slope in the dark of a tone curve that compresses highlights, see
-            `with_tone`; 1 is none.
+        tone_jitter: Maximum slope in the dark of a tone curve that compresses highlights and keeps
+            white; 1 is none.
     """
 
     exposure_jitter: Annotated[float, _JITTER] = 1.3

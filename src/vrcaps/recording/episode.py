@@ -86,6 +86,11 @@ class Episode:
     cameras: tuple[Camera, ...]
     channels: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        cameras = " ".join(camera.name for camera in self.cameras)
+        channels = " ".join(self.channels)
+        return f"Episode({self.name!r}, {len(self)} frames, cameras {cameras}, channels {channels})"
+
     @property
     def url(self) -> str:
         """Folder or URL of the episode."""

@@ -85,6 +85,10 @@ class FrameSequence:
                 raise UnknownNameError("channel", str(channel), CHANNELS)
         _require_values(self)
 
+    def __repr__(self) -> str:
+        channels = " ".join(self.channels)
+        return f"FrameSequence({self.name!r}, {len(self)} frames, channels {channels})"
+
     def __len__(self) -> int:
         return len(self.values[TIME])
 

@@ -147,8 +147,8 @@ class Scenario:
             fly-through, turbid fluid, film on the dome) are drawn by their prevalence in a
             generated organ; otherwise the lumen is empty and the others have fixed defaults.
         effects: Effects of lens and sensor; None for an effect is the capsule's own, and a range
-            and random effects are sampled by the seed. A file can also contain a string in the syntax
-            of `parse_effects`, such as `none`.
+            and random effects are sampled by the seed. A file can also contain a string in the
+            syntax of `parse_effects`, such as `none`.
         sensors: Further measurements in each frame: motion, magnetic field and position of the
             capsule.
     """

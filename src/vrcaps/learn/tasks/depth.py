@@ -78,12 +78,13 @@ class DepthTask(BackboneTask[DepthTerms]):
 
     Attributes:
         backbone: Input size and encoder of the network.
-        has_light_cue: Whether the light cue is an input of the network.
+        has_light_cue: Whether the light cue, −½ ln of the linear brightness, which falls with the
+            square of distance, is an input of the network.
         gradient_weight: Weight of the gradient loss.
         normalizes_exposure: Whether an image of unknown exposure is divided by the exposure that
             its brightness implies, so that predictions do not depend on it. Otherwise predicted
-            distances are scaled, and independence of it depends on training. See
-            `log_scale_of`.
+            distances are scaled by the root of its median brightness relative to recordings, and
+            independence of it depends on training.
         mirroring: Whether a prediction is the mean over the image and its three mirror images
             (test-time augmentation), which takes four times as long.
         exposure_dropout: Fraction of training images whose exposure is treated as unknown: changed

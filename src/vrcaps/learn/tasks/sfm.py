@@ -103,7 +103,8 @@ class SfmTask(BackboneTask[DepthTerms | None]):
         geometry_weight: Weight of the loss of inconsistent distances.
         matches_brightness: Whether predictions are scaled to the frame's brightness.
         supervision: Weight of the loss on true distances, flow and motions; 0 needs no labels.
-        has_light_cue: Whether the light cue of `depth` is an input of the network of distances.
+        has_light_cue: Whether the light cue of depth, −½ ln of the linear brightness, is an input
+            of the network of distances.
         trains_distances: Whether the network of distances is trained; otherwise it keeps its
             initial weights, such as those of `--start depth`, and training is four times as fast.
         min_crop: Minimum side of a random crop, relative to the image, in training by labels alone.

@@ -34,7 +34,8 @@ FIGURES = (
         "{ms | complete frame, moving wall} ms",
     ),
     (
-        "all 16 effects of lens and sensor / also with radiosity, without shadows",
+        "all effects with a severity of [this table](benchmarks.md#camera-pipeline-speed) / also "
+        "with radiosity, without shadows",
         f"{_MODULE}speed.effects",
         "{times plain | every effect at severity 2, direct light} / "
         "{times plain | every effect at severity 2, radiosity} times a plain frame",

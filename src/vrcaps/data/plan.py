@@ -8,7 +8,7 @@ table ``[scenario]``. A distribution may replace any other value. Values under `
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -47,10 +47,11 @@ class Split:
         check_fields(self)
         total = self.train + self.val + self.test
         if abs(total - 1.0) > 1e-6:
-            parts = f"train {self.train:g}, val {self.val:g}, test {self.test:g}"
+            parts = ", ".join(f"{f.name} {getattr(self, f.name):g}" for f in fields(self))
+            default = ", ".join(f"{f.name} {f.default:g}" for f in fields(self))
             raise InputError(
-                f"split adds up to {total:g}: {parts}. Allowed: 1; what is omitted has its default, "
-                "train 0.7, val 0.15, test 0.15."
+                f"split adds up to {total:g}: {parts}. Allowed: 1; an omitted part has its "
+                f"default: {default}."
             )
 
 

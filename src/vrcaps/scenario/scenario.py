@@ -134,7 +134,8 @@ class Scenario:
         capsule: Name in the catalog, path of a device file, or a device in memory.
         posture: Posture of the patient: supine, prone, left-lateral, right-lateral or standing.
         motion: Motion of the capsule.
-        frames: Number of frames.
+        frames: Number of frames. A fly-through is fitted to its number of frames: a shorter one is
+            not the beginning of a longer one.
         fps: Frames per second; None is the capsule's own rate.
         seed: Seed of the motion and of the mucosa of an organ from a file.
         channels: Image channels to write.
@@ -144,7 +145,7 @@ class Scenario:
         clean_twin: Whether to render the same patient without the lesions, with the same motion.
         contents: Contents of the lumen.
         variation: Whether settings that are left open (distension of the small bowel, tilt of a
-            fly-through, turbid fluid, film on the dome) are drawn by their prevalence in a
+            fly-through, bubbles, chyme, fluid, film on the dome) are drawn by their prevalence in a
             generated organ; otherwise the lumen is empty and the others have fixed defaults.
         effects: Effects of lens and sensor; None for an effect is the capsule's own, and a range
             and random effects are sampled by the seed. A file can also contain a string in the

@@ -66,7 +66,7 @@ def test_depth_is_ray_distance_times_the_ray(recorded):
 def test_metadata(recorded, scenario):
     episode = read_episode(recorded)
     assert len(episode) == 5
-    about = f"Episode({recorded.name!r}, 5 frames, cameras front rear, channels rgb "
+    about = f"Episode({recorded.name!r}, frames=5, cameras=('front', 'rear'), channels=('rgb', "
     assert repr(episode).startswith(about) and "\n" not in repr(episode)
     assert episode.channels == tuple(CHANNELS)
     assert [camera.name for camera in episode.cameras] == ["front", "rear"]

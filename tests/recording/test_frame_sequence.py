@@ -30,7 +30,7 @@ def test_a_name_is_a_relative_path(sequence, name):
 
 def test_a_sequence_is_described_in_one_line(sequence):
     short = replace(sequence, channels=("rgb", "depth"))
-    assert repr(short) == f"FrameSequence({short.name!r}, 3 frames, channels rgb depth)"
+    assert repr(short) == f"FrameSequence({short.name!r}, frames=3, channels=('rgb', 'depth'))"
 
 
 def test_splits_and_channels_are_known(sequence):

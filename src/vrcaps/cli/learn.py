@@ -342,8 +342,8 @@ def _report_skipped(skipped: dict[str, str]) -> None:
 _PUBLISHED = {"depth", "segmentation", "classification", "super-resolution"}
 """Tasks whose examples need no file of weights."""
 _CHOICES = {
-    "depth": "Published weights: --weights depth (the default) for colonoscopes and wide lumens, "
-    "--weights depth-capsule for recordings of capsules and narrow lumens."
+    "depth": "Published weights: depth (default) for colonoscopes and wide lumens; "
+    "--weights depth-capsule for capsules and narrow lumens."
 }
 """Choice between several published weights of a task."""
 _UNITS = {

@@ -87,9 +87,9 @@ class Episode:
     channels: tuple[str, ...]
 
     def __repr__(self) -> str:
-        cameras = " ".join(camera.name for camera in self.cameras)
-        channels = " ".join(self.channels)
-        return f"Episode({self.name!r}, {len(self)} frames, cameras {cameras}, channels {channels})"
+        cameras = tuple(camera.name for camera in self.cameras)
+        counts = f"frames={len(self)}, cameras={cameras}, channels={self.channels}"
+        return f"Episode({self.name!r}, {counts})"
 
     @property
     def url(self) -> str:

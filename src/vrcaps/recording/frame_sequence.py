@@ -86,8 +86,7 @@ class FrameSequence:
         _require_values(self)
 
     def __repr__(self) -> str:
-        channels = " ".join(self.channels)
-        return f"FrameSequence({self.name!r}, {len(self)} frames, channels {channels})"
+        return f"FrameSequence({self.name!r}, frames={len(self)}, channels={self.channels})"
 
     def __len__(self) -> int:
         return len(self.values[TIME])

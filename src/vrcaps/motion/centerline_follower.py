@@ -48,6 +48,13 @@ class BandLimitedNoise:
         angle = distance[:, None, None] * self.wave_numbers + self.phases
         return ((np.cos(self.phases) - np.cos(angle)) / self.wave_numbers).mean(axis=-1)
 
+    def swinging(self, channels: slice) -> BandLimitedNoise:
+        """Noise of which some channels have one wave each, and are thus often near their maximum."""
+        wave_numbers, phases = self.wave_numbers.copy(), self.phases.copy()
+        for waves in (wave_numbers, phases):
+            waves[channels] = waves[channels, :1]
+        return BandLimitedNoise(wave_numbers, phases)
+
 
 def make_noise(smoothness: float, rng: np.random.Generator, *, count: int) -> BandLimitedNoise:
     """`count` independent noises with wavelengths from `smoothness` [m] to four times that."""

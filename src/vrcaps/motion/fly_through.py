@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 DEFAULT_SPEED = 0.01
 """Default mean speed of a fly-through [m/s], similar to transport by peristalsis."""
 
-_TILT, _SLACK_TILT = 0.15, 0.75
+_TILT, _SLACK_TILT = 0.15, 1.1
 """Default tilt in an open and in a closed lumen [rad]."""
 
 _SLACK_DEPTH = 1.0 * MM
@@ -69,7 +69,8 @@ class FlyThrough(MotionSettings):
         speed_variation: Maximum deviation of the speed from its mean, as a fraction, below 1.
         drift: Maximum distance from the centerline, as a fraction of the local radius, below 1.
         tilt: Maximum angle between the capsule's axis and its direction of travel [rad]; None is
-            0.15 rad, or 0.75 rad in a closed lumen, whose slack wall does not guide the capsule.
+            0.15 rad, or 1.1 rad in a closed lumen, whose slack wall does not guide the capsule. The
+            wall at rest limits it further.
         roll: Maximum angle about the capsule's axis [rad].
         smoothness: Minimum wavelength of all these along the path [m].
         margin: Distance that cameras and body axis keep from the wall if the lumen is wide enough
@@ -85,7 +86,7 @@ class FlyThrough(MotionSettings):
     whole: bool = False
     speed_variation: Annotated[float, Range(min=0.0, below=1.0)] = 0.3
     drift: Annotated[float, Range(min=0.0, below=1.0)] = 0.3
-    tilt: Annotated[float | None, Range(0.0, math.pi / 4, unit="rad")] = None
+    tilt: Annotated[float | None, Range(0.0, math.pi / 2, unit="rad")] = None
     roll: Annotated[float, Range(min=0.0, unit="rad")] = 0.6
     smoothness: Annotated[float, Range(above=0.0, unit="m")] = 0.06
     margin: Annotated[float, Range(above=0.0, unit="m")] = 2.0 * MM
@@ -199,13 +200,14 @@ def _make_follower(
     """Follower of the organ's centerline for the model's capsule, without noise."""
     line = model.organ.centerline
     front, rear = follower_offsets(model.device)
+    noise = make_noise(settings.smoothness, rng, count=5)
     return CenterlineFollower(
         centerline=replace(
             line,
             points=transform_points(model.T_world_patient, line.points),
             frames=model.T_world_patient[:3, :3] @ line.frames,
         ),
-        noise=make_noise(settings.smoothness, rng, count=5),
+        noise=noise.swinging(slice(2, 4)) if model.closed_radius > 0.0 else noise,
         front=front,
         rear=rear,
         sign=1.0 if settings.end > settings.start else -1.0,

@@ -74,7 +74,7 @@ PREVALENCES: Mapping[str, Prevalence] = MappingProxyType(
     {
         "small-bowel": Prevalence(
             {None: 0.92, "normal": 0.08},
-            (0.6, 0.78),
+            (1.0, 1.3),
             bubbles=0.25,
             chyme=0.08,
             medium=0.35,

@@ -93,7 +93,7 @@ class ImageChain:
     focus_distance: Annotated[float, Range(above=0.0, unit="m")] = field(
         default=15.0 * MM, metadata={"unit": "mm"}
     )
-    lens_shading: Triple = (-0.95, 0.22, 0.0)
+    lens_shading: Triple = (-1.15, 0.35, 0.0)
     cosine_power: Annotated[float, Range(min=0.0, max=16.0)] = 0.0
     lateral_color: tuple[float, float] = (0.002, -0.002)
     bloom_fraction: Annotated[float, Range(min=0.0, below=1.0)] = 0.12

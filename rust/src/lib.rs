@@ -58,6 +58,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(render::path::subsurface::walk_tissue, m)?)?;
     m.add_function(wrap_pyfunction!(render::channels::encode_srgb, m)?)?;
     m.add_function(wrap_pyfunction!(mesh::self_intersection::intersecting_triangles, m)?)?;
+    m.add_function(wrap_pyfunction!(mesh::turned::turned_triangles, m)?)?;
     m.add_function(wrap_pyfunction!(mesh::texels::covered_texels, m)?)?;
     m.add_function(wrap_pyfunction!(metrics::coverage::mark_seen, m)?)?;
     m.add_function(wrap_pyfunction!(wall::distances::wall_distances, m)?)?;

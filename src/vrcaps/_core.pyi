@@ -425,6 +425,9 @@ def raise_villi(
 def intersecting_triangles(
     corners: NDArray[np.float64], vertices: NDArray[np.int64], tolerance: float
 ) -> NDArray[np.int64]: ...
+def turned_triangles(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64]
+) -> NDArray[np.int64]: ...
 def covered_texels(
     corners: NDArray[np.float64], margin: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]: ...

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array, eye_array
 
 from tests.support.tubes import tube_about
 from vrcaps.capsule.device_file import read_device
@@ -126,7 +127,8 @@ def test_the_wall_yields_again_where_it_is_relaxed(model, monkeypatch):
     pose = model.place(100 * MM, angle=0.2).T_world_capsule
     within = np.flatnonzero(np.abs(model.organ.arc_length - 100 * MM) < 3 * MM)
     border = within[:1]
-    patch = HarmonicPatch(within[1:], border, np.ones((len(within) - 1, 1)))
+    reach = csr_array(np.ones((len(within) - 1, 1)))
+    patch = HarmonicPatch(within[1:], border, csr_array(eye_array(len(within) - 1)), reach)
     monkeypatch.setattr(LumenClosure, "patches_near", lambda *_: (patch,))
     assert_outside_shell(model, pose, closed_wall(model, pose))
 

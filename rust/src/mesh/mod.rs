@@ -2,3 +2,4 @@
 
 pub mod self_intersection;
 pub mod texels;
+pub mod turned;

@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.geometry import edge_graph, triangle_normals
+from vrcaps import _core
+from vrcaps.core.geometry import edge_graph
 from vrcaps.core.units import MM
-from vrcaps.mesh.mesh import sums_at_vertices, used_vertices
+from vrcaps.mesh.mesh import used_vertices
 from vrcaps.mesh.self_intersection import self_intersections
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
+    from scipy.sparse import csr_array
+    from scipy.sparse.linalg import SuperLU
 
 _NEAR = 8 * MM
 """Distance from an intersection within which triangles are examined while patches grow [m]."""
 _ROUNDS = 8
 """Maximum number of times that patches grow by a ring of vertices."""
 _MOST = 2000
-"""Maximum number of vertices to move; patches are solved as dense systems."""
+"""Maximum number of vertices to move."""
 
 
 @dataclass(frozen=True)
@@ -30,12 +34,24 @@ class HarmonicPatch:
     Attributes:
         inside: Indices of these vertices.
         border: Indices of their other neighbors, which determine their positions.
-        weights: Weight of each vertex of the border, at least 0; rows have the sum 1.
+        laplacian: Number of neighbors of each vertex inside, minus 1 at each neighbor inside.
+        reach: 1 at each neighbor on the border.
     """
 
     inside: Int[np.ndarray, " k"]
     border: Int[np.ndarray, " b"]
-    weights: Float[np.ndarray, "k b"]
+    laplacian: csr_array
+    reach: csr_array
+
+    def positions(self, border: Float[np.ndarray, "b c"]) -> Float[np.ndarray, "k c"]:
+        """Positions of the vertices inside, given those of the border [m]."""
+        return np.asarray(self._factors.solve(self.reach @ border))
+
+    @cached_property
+    def _factors(self) -> SuperLU:
+        from scipy.sparse.linalg import splu
+
+        return splu(self.laplacian.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0)
 
 
 def untangle(
@@ -106,7 +122,7 @@ def relaxed(
         ends = np.concatenate([inside, border])
         if ends.min() < 0 or ends.max() >= len(vertices):
             continue
-        goal = patch.weights @ vertices[border]
+        goal = patch.positions(vertices[border])
         if weight is not None:
             goal = vertices[inside] + weight[inside, None] * (goal - vertices[inside])
         moved[inside] = goal
@@ -117,13 +133,8 @@ def _next_to_turned(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
 ) -> Bool[np.ndarray, " m"]:
     """Whether each triangle is turned over or has a vertex in common with one that is."""
-    normals = triangle_normals(vertices[faces])
-    at_vertex = sums_at_vertices(normals, faces, len(vertices))
-    is_turned = np.zeros(len(faces), bool)
-    for corner in range(3):
-        is_turned |= np.einsum("ij,ij->i", normals, at_vertex[faces[:, corner]]) < 0.0
     touched = np.zeros(len(vertices), bool)
-    touched[faces[is_turned]] = True
+    touched[faces[_core.turned_triangles(vertices, faces)]] = True
     return np.asarray(touched[faces].any(axis=1))
 
 
@@ -150,6 +161,7 @@ def _harmonic_patches(
     faces: Int[np.ndarray, "m 3"],
 ) -> tuple[HarmonicPatch, ...]:
     """Patch of each connected part of the vertices inside."""
+    from scipy.sparse import csr_array, diags_array
     from scipy.sparse.csgraph import connected_components
 
     linked = edge_graph(vertices, faces).tocsr()[inside] > 0.0
@@ -159,8 +171,7 @@ def _harmonic_patches(
         rows = linked[part == index]
         members, reached = inside[part == index], np.unique(rows.indices)
         border = np.setdiff1d(reached, members)
-        degree = np.diag(np.diff(rows.indptr).astype(float))
-        laplacian = degree - rows[:, members].toarray()
-        weights = np.linalg.solve(laplacian, rows[:, border].toarray().astype(float))
-        patches.append(HarmonicPatch(members, border, weights))
+        links, degree = rows.astype(float), np.diff(rows.indptr).astype(float)
+        laplacian = csr_array(diags_array(degree) - links[:, members])
+        patches.append(HarmonicPatch(members, border, laplacian, csr_array(links[:, border])))
     return tuple(patches)

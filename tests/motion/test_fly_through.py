@@ -188,6 +188,17 @@ def _constricted(closed: float) -> Model:
     return Model(organ, device, np.eye(4))
 
 
+@pytest.mark.parametrize(("closed", "usual"), [(0.0, (0.1, 0.5)), (2 * MM, (0.5, 0.95))])
+def test_a_capsule_in_a_slack_lumen_is_often_near_its_maximum_tilt(closed, usual):
+    organ = replace(straight_tube(0.6, 20 * MM, 32, 301), metadata={CLOSED_RADIUS: closed})
+    model = Model(organ, read_device("mirocam"), np.eye(4))
+    settings = FlyThrough(whole=True, drift=0.0, tilt=0.6)
+    forward = _forward(_fly(model, settings, frames=200))
+    angle = np.arccos(np.abs(forward @ organ.centerline.frames[0][:, 2]))
+    assert angle.max() <= 0.6
+    assert usual[0] < np.median(angle) / 0.6 < usual[1]
+
+
 def test_a_slack_wall_gives_way_to_cameras_in_the_shell(monkeypatch):
     monkeypatch.setattr("vrcaps.motion.centerline_follower._MAX_PUSHES", 10)
     settings = FlyThrough(start=0.4, end=0.6, whole=True, drift=0.0)
@@ -215,7 +226,7 @@ def test_a_slack_wall_gives_way_to_cameras_in_the_shell(monkeypatch):
         ({"speed": 0.0}, r"speed is 0.0. Allowed: above 0 m/s"),
         ({"speed_variation": 1.0}, r"speed_variation is 1.0"),
         ({"drift": 1.0}, r"drift is 1.0"),
-        ({"tilt": 1.0}, r"tilt is 1.0"),
+        ({"tilt": 2.0}, r"tilt is 2.0"),
         ({"roll": float("nan")}, r"roll is nan"),
         ({"smoothness": 0.0}, r"smoothness is 0.0"),
         ({"margin": -1.0}, r"margin is -1.0"),

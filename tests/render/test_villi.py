@@ -49,7 +49,8 @@ def _raised(
     vertices = vertices @ rotation_from_vector(np.array([0.7, -0.4, 0.9])).T
     wall = changes.get("wall", (vertices, np.array([[0, 1, 2]])))
     by_label = [[0.0, value] + [0.0] * 254 for value in (length, gaps)]
-    _core.raise_villi(planes, tuple(channels), wall, by_label, _SPACING, _FOCAL)
+    focal = changes.get("focal", _FOCAL)
+    _core.raise_villi(planes, tuple(channels), wall, by_label, _SPACING, focal)
     return planes
 
 
@@ -67,6 +68,18 @@ def test_villi_stand_out_by_their_length_and_differ():
     smooth = np.convolve(lengths, np.ones(5) / 5.0, "same")
     maxima = ((smooth[1:-1] > smooth[:-2]) & (smooth[1:-1] >= smooth[2:])).sum()
     assert 0.5 < maxima * _SPACING / 16e-3 < 1.5
+
+
+def test_a_fringe_of_unresolved_villi_is_a_soft_band():
+    """At up to 3 pixels per villus it is the same everywhere and fades up to the tallest villi."""
+    focal = 2.9 * _NEAR / _SPACING
+    behind = _raised(_channels(), focal=focal)[0, 10:-10, _EDGE + 1 :]
+    assert (behind == behind[0]).all()
+    longest = 1.5 * _LENGTH / _NEAR * focal
+    band = behind[0, : int(longest)]
+    assert (np.diff(band) < 0.0).all()
+    assert band[0] > 0.5
+    assert not behind[0, int(np.ceil(longest)) :].any()
 
 
 def test_lengths_scale_with_the_setting():

@@ -36,7 +36,7 @@ def test_all_open_settings_are_drawn_and_stored():
     assert isinstance(contents.medium, Medium)
     assert isinstance(contents.film, Film)
     assert resolved.organ.distension in (None, "normal")
-    assert 0.5 <= resolved.motion.tilt <= 0.78
+    assert 1.0 <= resolved.motion.tilt <= 1.3
     assert isinstance(contents.bubbles, Bubbles)
     # Recording it again draws the same.
     assert resolve(resolved).scenario == resolved

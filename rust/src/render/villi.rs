@@ -33,6 +33,8 @@ const PRESSED: f32 = 0.4;
 /// Ratio of the sides of a pixel on that shape of the wall up to which gaps are invisible, and from
 /// which they are drawn fully: where a wall is gathered or pulled, gaps would be streaks.
 const ROUND: [f32; 2] = [0.25, 0.5];
+/// Pixels across villi up to which a fringe is a soft band, and from which its villi stand out.
+const FRINGE: [f32; 2] = [3.0, 7.0];
 /// Spacing of the lattice of strokes [spacings of villi].
 const STROKES: f32 = 1.2;
 /// Part of the gaps that surrounds each villus; the rest are strokes.
@@ -91,6 +93,8 @@ struct Outline {
     longest: f32,
     /// Position between the gap next to the villus (0) and its middle (1).
     middle: f32,
+    /// Weight of single villi in the fringe; the rest is its mean over villi of all lengths.
+    sharp: f32,
 }
 
 /// Draws villi into planes [3 h w], in place.
@@ -294,7 +298,9 @@ impl<'a> Seen<'a> {
                 let profile = GROUND + (1.0 - GROUND) * middle;
                 let mean = min(self.length[pixel] / self.distance[pixel], WIDEST / TALLEST) * focal;
                 let (length, longest) = (mean * varied * profile, mean * TALLEST);
-                outlines.push(Outline { pixel, length, longest, middle });
+                let pixels = spacing / LEAF.sqrt() * focal / self.distance[pixel];
+                let sharp = smoothstep(FRINGE[0], FRINGE[1], pixels);
+                outlines.push(Outline { pixel, length, longest, middle, sharp });
             }
         }
         outlines
@@ -308,13 +314,15 @@ impl<'a> Seen<'a> {
         };
         let mut drawn = Vec::new();
         for (pixel, outline, apart) in self.nearest(outlines) {
-            let Outline { pixel: base, length, middle, .. } = outlines[outline];
-            let covered = clamp(length - apart + 0.5, 0.0, 1.0);
+            let Outline { pixel: base, length, longest, middle, sharp } = outlines[outline];
+            let mix = |mean: f32, single: f32| mean + sharp * (single - mean);
+            let mean = clamp(1.0 - apart / max(longest, 1e-6), 0.0, 1.0);
+            let covered = mix(mean, clamp(length - apart + 0.5, 0.0, 1.0));
             if covered <= 0.0 {
                 continue;
             }
             // Tips let light through.
-            let along = min(apart / length, 1.0);
+            let (along, middle) = (min(apart / mix(longest, length), 1.0), mix(0.5, middle));
             let (opacity, tone) =
                 (covered * (1.0 - 0.35 * along), (0.7 + 0.2 * middle) * (1.0 - 0.2 * along));
             let villus = color(self.inside(base, pixel, apart), planes).map(|x| x * tone);

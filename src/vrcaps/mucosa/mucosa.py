@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from vrcaps.organ.surface import OrganSurface
 
 
-MUCUS_TINT = (1.2, 2.8, 1.45)
-"""Reflectance of bile-stained mucus relative to the wall, red, green, blue: median ratio of yellow
-to red areas in seven real frames of clean colons (docs/concepts/mucosa.md)."""
+MUCUS_TINT = (1.2, 2.4, 1.3)
+"""Reflectance of bile-stained mucus relative to the wall, red, green, blue: less green than the
+median ratio of yellow to red areas in seven real frames (docs/concepts/mucosa.md)."""
 
 
 @dataclass(frozen=True)

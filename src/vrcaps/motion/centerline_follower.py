@@ -49,7 +49,7 @@ class BandLimitedNoise:
         return ((np.cos(self.phases) - np.cos(angle)) / self.wave_numbers).mean(axis=-1)
 
     def swinging(self, channels: slice) -> BandLimitedNoise:
-        """Noise of which some channels have one wave each, and are thus often near their maximum."""
+        """Noise with a single wave in some channels, which is thus often near its maximum."""
         wave_numbers, phases = self.wave_numbers.copy(), self.phases.copy()
         for waves in (wave_numbers, phases):
             waves[channels] = waves[channels, :1]

@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.tubes import bent_tube
+from tests.support.tubes import bent_tube, tube_about
 from vrcaps.capsule.device_file import read_device
 from vrcaps.core.geometry import invert, transform_points
 from vrcaps.core.units import MM
+from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.motion.trajectory import Trajectory
+from vrcaps.organ.surface import CLOSED_RADIUS
 from vrcaps.world.model import Model
 from vrcaps.world.wall_displacement import WallDisplacement
 
@@ -125,3 +127,24 @@ def test_the_twin_moves_alike(narrow):
     same = np.ones(len(own), bool)
     same[6000] = False
     np.testing.assert_array_equal(own[same], twin[same])
+
+
+def test_another_loop_gives_way_where_a_closed_lumen_reaches_beyond_the_wall_at_rest():
+    """Two legs of a hairpin, 0.4 mm apart; the capsule lies against the wall between them."""
+    leg, turn = 150 * MM, 8.2 * MM
+    along, angle = np.linspace(0.0, leg, 151), np.linspace(0.0, np.pi, 27)[1:-1]
+    bend = np.stack([turn * (1.0 - np.cos(angle)), leg + turn * np.sin(angle)], axis=1)
+    there = np.stack([0.0 * along, along], axis=1)
+    line = np.concatenate([there, bend, there[::-1] + [2.0 * turn, 0.0]])
+    line = np.insert(line, 1, 0.0, axis=1)
+    organ = replace(tube_about(line, 8 * MM, 48), metadata={CLOSED_RADIUS: 2 * MM})
+    model = Model(organ, read_device("mirocam"), np.eye(4))
+    pose = model.place(60 * MM).T_world_capsule
+    pose[:3, 3] = [4.5 * MM, 0.0, 60 * MM]
+    displacement = WallDisplacement(model, model)
+    half, radius = 0.5 * model.device.length, model.device.radius
+    moved, closed = displacement.closure.close(pose, half, radius)
+    only_closed = model.vertices_world.copy()
+    only_closed[moved] = closed
+    assert len(self_intersections(only_closed, organ.faces)) > 0
+    assert len(self_intersections(displacement.vertices_world(pose), organ.faces)) == 0

@@ -92,6 +92,7 @@ class WallDisplacement:
         at_rest = self.shown.vertices_world
         vertices = (at_rest if vertices_world is None else vertices_world).copy()
         vertices[moved] = closed
+        self._clear_other_loops(vertices, moved, T_world_capsule)
         vertices = self._yielding((vertices, moved), T_world_capsule, ends, None)
         for _ in range(_MAX_RELAXATIONS):
             patches = closure.patches_near(vertices, T_world_capsule, half)
@@ -127,27 +128,42 @@ class WallDisplacement:
             least: Distance of the vertices to the axis if known [m].
         """
         (vertices, displaced), radius, (low, high) = wall, self.model.device.radius, ends
-        reach = 2.0 * radius
-        box = T_world_capsule[:3, 3], max(high, -low) + reach
+        box = T_world_capsule[:3, 3], max(high, -low) + 2.0 * radius
         is_candidate = np.zeros(len(vertices), bool)
         is_candidate[_near(self._rows_at_rest, *box)] = True
         is_candidate[displaced] = True
         near = np.flatnonzero(is_candidate)
         near = near[_near(vertices[near].T, *box)]
-        local = transform_points(invert(T_world_capsule), vertices[near])
-        local[:, 2] -= np.clip(local[:, 2], low, high)
-        distance = np.linalg.norm(local, axis=1)
-        moved = (distance < reach) & (distance > _MIN_DISTANCE)
-        near, distance = near[moved], distance[moved]
-        if least is None:
-            least = float(distance.min(initial=reach))
-        if least >= radius:
-            return vertices
-        fraction = np.clip((distance - least) / (reach - least), 0.0, 1.0)
-        further = radius + radius * fraction ** ((reach - least) / radius) - distance
-        outward = local[moved] @ T_world_capsule[:3, :3].T / distance[:, None]
-        vertices[near] += further[:, None] * outward
+        _stretch((vertices, near), T_world_capsule, ends, radius, least)
         return vertices
+
+    def _clear_other_loops(
+        self,
+        vertices: Float[np.ndarray, "n 3"],
+        closed: Int[np.ndarray, " k"],
+        T_world_capsule: Float[np.ndarray, "4 4"],
+    ) -> None:
+        """Move other loops of the gut off a lumen that has closed around an eccentric capsule.
+
+        The closed wall there may reach beyond the wall at rest, into a loop next to it. The other
+        loops are stretched away from the capsule, as from a shell that encloses the closed wall.
+
+        Args:
+            vertices: Vertices [m], changed in place.
+            closed: Which of them belong to the closed lumen.
+            T_world_capsule: Pose of the capsule.
+        """
+        radius, half = self.model.device.radius, self.model.device.length / 2.0
+        box = T_world_capsule[:3, 3], half + 3.0 * radius
+        other = np.setdiff1d(_near(self._rows_at_rest, *box), closed)
+        if not len(other):
+            return
+        local = transform_points(invert(T_world_capsule), vertices[closed])
+        local = local[np.abs(local[:, 2]) < half + radius]
+        local[:, 2] -= np.clip(local[:, 2], -half, half)
+        distance = np.linalg.norm(local, axis=1)
+        around = float(distance[distance < 2.0 * radius].max(initial=radius))
+        _stretch((vertices, other), T_world_capsule, (-half, half), around, None)
 
     def _axis(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> tuple[float, float, float]:
         """Part of the body's axis in the lumen, and its minimum distance to the wall [m].
@@ -161,6 +177,38 @@ class WallDisplacement:
         first, last = (inside[0], inside[-1]) if len(inside) else (0, len(along) - 1)
         least = max(float(free[first : last + 1].min()), 0.0)
         return float(along[first]), float(along[last]), least
+
+
+def _stretch(
+    part: tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " k"]],
+    T_world_capsule: Float[np.ndarray, "4 4"],
+    ends: tuple[float, float],
+    radius: float,
+    least: float | None,
+) -> None:
+    """Stretch space within two radii of a segment of the body's axis away from it.
+
+    Args:
+        part: Vertices [m], changed in place, and which of them to move.
+        T_world_capsule: Pose of the capsule.
+        ends: Ends of the segment [m].
+        radius: Distance from it that is cleared [m].
+        least: Minimum distance of the vertices to it [m]; None if unknown.
+    """
+    (vertices, near), (low, high), reach = part, ends, 2.0 * radius
+    local = transform_points(invert(T_world_capsule), vertices[near])
+    local[:, 2] -= np.clip(local[:, 2], low, high)
+    distance = np.linalg.norm(local, axis=1)
+    moved = (distance < reach) & (distance > _MIN_DISTANCE)
+    near, distance = near[moved], distance[moved]
+    if least is None:
+        least = float(distance.min(initial=reach))
+    if least >= radius:
+        return
+    fraction = np.clip((distance - least) / (reach - least), 0.0, 1.0)
+    further = radius + radius * fraction ** ((reach - least) / radius) - distance
+    outward = local[moved] @ T_world_capsule[:3, :3].T / distance[:, None]
+    vertices[near] += further[:, None] * outward
 
 
 def _near(

@@ -275,3 +275,21 @@ def test_an_estimate_refuses_what_the_disk_cannot_hold(
     assert "another plan (its dataset.seed differs)" in fail(
         ["dataset", "make", str(other), "--dry-run", "--out", str(made)], capsys
     )
+
+
+@pytest.mark.parametrize("name", ["ledger", "episodes", ".staging"])
+def test_a_link_that_leads_out_of_the_data_set_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / "set").mkdir()
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "set" / name).symlink_to(tmp_path / "outside")
+    store = LocalStore(tmp_path / "set")
+
+    def fill() -> None:
+        store.write("ledger/a.json", b"{}")
+        staged = store.staging("a")
+        staged.mkdir(parents=True)
+        store.put(staged, "episodes/a")
+
+    with pytest.raises(InputError, match=rf"{name}.* leads out of .*set"):
+        fill()
+    assert not list((tmp_path / "outside").iterdir())

@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import platform
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -80,3 +81,23 @@ def test_a_file_system_without_locks_is_a_warning(tmp_path: Path, monkeypatch) -
     monkeypatch.setattr(pytest.importorskip("fcntl"), "flock", refuse)
     with pytest.warns(UserWarning, match="has no locks"), recording_lock(tmp_path):
         assert _names(tmp_path) == [LOCK]
+
+
+@pytest.mark.parametrize("name", ["front/rgb", "front", ".resume", "organ.glb", "episode.json"])
+def test_a_link_that_leads_out_of_the_episode_is_refused(
+    recorded: Path, scenario: Scenario, tmp_path: Path, name: str
+) -> None:
+    """Else a resumed recording would overwrite files that are not its own."""
+    out, outside = tmp_path / "episode", tmp_path / "outside"
+    shutil.copytree(recorded, out)
+    head = json.loads((out / "episode.json").read_text())
+    (out / "episode.json").write_text(json.dumps({**head, "status": "recording"}))
+    if (out / name).exists():
+        (out / name).rename(outside)
+    else:
+        outside.mkdir()
+    (out / name).symlink_to(outside)
+    before = sorted(outside.rglob("*"))
+    with pytest.raises(InputError, match=rf"{name} leads out of .*Copy them there"):
+        record(scenario, out)
+    assert sorted(outside.rglob("*")) == before

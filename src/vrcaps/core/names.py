@@ -128,14 +128,18 @@ def regular(path: Path) -> Path:
     return path
 
 
-def require_links_inside(folder: Path) -> None:
-    """Check that no link in a folder or its subfolders leads out of it; hidden ones may.
+def require_links_inside(folder: Path, *, hidden: bool = False) -> None:
+    """Check that no link in a folder or its subfolders leads out of it.
+
+    Args:
+        folder: Folder to check.
+        hidden: Whether hidden folders are checked as well, as before files are written.
 
     Raises:
         InputError: If one does, or a file is a pipe, socket or device; states its path.
     """
     for place, folders, files in os.walk(folder):
-        folders[:] = [name for name in folders if not is_hidden(Path(name))]
+        folders[:] = [name for name in folders if hidden or not is_hidden(Path(name))]
         for path in (Path(place, name) for name in (*folders, *files)):
             if path.is_symlink() and not _leads_into(path, folder):
                 raise _leads_out(path, folder)

@@ -25,7 +25,7 @@ from vrcaps.config.plain_files import decode_json
 from vrcaps.core.errors import InputError, StorageError, require
 from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import remove_stale, sync_folder, temporary_beside
-from vrcaps.core.names import regular
+from vrcaps.core.names import inside, regular
 from vrcaps.core.processes import FolderInUseError, ProgressReport, file_lock, no_report
 from vrcaps.organ.organ_file import organ_glb
 from vrcaps.organ.surface import OrganSurface, organ_sha256
@@ -96,7 +96,7 @@ class LocalStore:
 
     def write(self, name: str, data: bytes) -> None:
         """Write a file atomically."""
-        path = self.folder / name
+        path = inside(self.folder, name)
         with _storage_errors(self.url), self._staged(data) as staged:
             path.parent.mkdir(parents=True, exist_ok=True)
             os.replace(staged, path)
@@ -104,7 +104,7 @@ class LocalStore:
 
     def create(self, name: str, data: bytes) -> bool:
         """Write a temporary file and rename it atomically, unless the name is taken."""
-        path = self.folder / name
+        path = inside(self.folder, name)
         with _storage_errors(self.url), self._staged(data) as staged:
             path.parent.mkdir(parents=True, exist_ok=True)
             try:
@@ -129,7 +129,7 @@ class LocalStore:
     def remove(self, name: str) -> None:
         """Remove a file, if it exists."""
         with _storage_errors(self.url):
-            (self.folder / name).unlink(missing_ok=True)
+            inside(self.folder, name).unlink(missing_ok=True)
 
     def is_empty(self) -> bool:
         """Return whether the folder holds only hidden files."""
@@ -149,11 +149,11 @@ class LocalStore:
 
     def staging(self, name: str) -> Path:
         """Hidden folder next to the data, so that a move is atomic."""
-        return self.folder / ".staging" / name.replace("/", "_")
+        return inside(self.folder, Path(".staging", name.replace("/", "_")))
 
     def put(self, staged: Path, name: str) -> None:
         """Rename a folder to its final name atomically."""
-        path = self.folder / name
+        path = inside(self.folder, name)
         with _storage_errors(self.url):
             path.parent.mkdir(parents=True, exist_ok=True)
             try:

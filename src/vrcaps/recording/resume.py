@@ -23,6 +23,7 @@ from vrcaps.core.files import (
     write_arrays,
     write_json,
 )
+from vrcaps.core.names import require_links_inside
 from vrcaps.core.processes import file_lock
 from vrcaps.motion.motion import MotionState
 from vrcaps.organ.organ_file import write_organ
@@ -68,10 +69,10 @@ def recording_lock(out: Path) -> Iterator[None]:
 
 
 def require_free(out: Path) -> None:
-    """Check that a folder is new, empty or an episode.
+    """Check that a folder is new, empty or an episode, and that files written stay in it.
 
     Raises:
-        InputError: If it is not.
+        InputError: If it is not, or a link in it leads out of it.
     """
     if not out.exists():
         return
@@ -84,6 +85,7 @@ def require_free(out: Path) -> None:
         raise InputError(
             f"{out} contains other files ({names[0]!r}, …). Give a new or empty folder."
         )
+    require_links_inside(out, hidden=True)
 
 
 def with_stored_organ(scenario: Scenario, out: Path) -> Scenario:

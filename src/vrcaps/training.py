@@ -13,9 +13,10 @@ from vrcaps import __version__
 from vrcaps.config.convert import classes_by_kind, from_plain
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.build_info import core_sha256, versions
-from vrcaps.core.errors import InputError, UnknownNameError, import_extra
+from vrcaps.core.errors import InputError, UnknownNameError, import_extra, require
 from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.files import is_new_folder, write_json
+from vrcaps.core.processes import MAX_WORKERS
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class ComputeSettings:
     """
 
     device: str = "auto"
-    threads: Annotated[int, Range(1)] = 1
+    threads: Annotated[int, Range(1, MAX_WORKERS)] = 1
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -64,6 +65,7 @@ def exact_torch(threads: int = 1) -> Iterator[None]:
         MissingExtraError: If PyTorch is not installed.
     """
     torch = import_extra("torch", "learn")
+    require(1 <= threads <= MAX_WORKERS, "threads", threads, f"1 to {MAX_WORKERS}")
     before, exact = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     torch.set_num_threads(threads)
     torch.use_deterministic_algorithms(True)

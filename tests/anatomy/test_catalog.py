@@ -85,8 +85,10 @@ def test_unknown_names_and_negative_seeds_are_refused():
         generate_organ("colon", seed=0, distension="full")
     with pytest.raises(InputError, match="Seed is 1\\.5"):
         generate_organ("colon", seed=1.5)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(InputError, match="Seed -1 is negative"):
+    with pytest.raises(InputError, match=r"Seed is -1\. Allowed: 0 to 18446744073709551615"):
         generate_organ("colon", seed=-1)
+    with pytest.raises(InputError, match="Seed is 18446744073709551616"):
+        generate_organ("colon", seed=2**64)
 
 
 def test_every_organ_has_segments_and_every_distension_a_patient() -> None:

@@ -75,6 +75,21 @@ def test_what_a_user_cannot_write(text: str, error: type[Exception], match: str)
         parse_effects(text)
 
 
+@pytest.mark.parametrize(
+    ("given", "match"),
+    [
+        ({"random": "false"}, "random is 'false'. Allowed: True or False"),
+        ({"random": 1}, "random is 1. Allowed: True or False"),
+        ({"jpeg": True}, "Effect jpeg has the severity True. Allowed: 0 to 4"),
+        ({"jpeg": False}, "Effect jpeg has the severity False. Allowed: 0 to 4"),
+        ({"jpeg": np.array([1, 2])}, r"Effect jpeg has the severity \[1 2\]. Allowed: 0 to 4"),
+    ],
+)
+def test_values_of_a_wrong_type(given: dict, match: str) -> None:
+    with pytest.raises(InputError, match=match):
+        Effects(**given)
+
+
 def test_every_severity_is_declared_and_differs() -> None:
     assert set(SEVERITIES) < set(Effects.__dataclass_fields__)
     for name, figures in SEVERITIES.items():

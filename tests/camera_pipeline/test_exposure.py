@@ -118,6 +118,7 @@ def test_speed_is_the_median_motion() -> None:
     [
         ({"min_fps": 0.0, "max_fps": 6.0}, "min_fps, max_fps is"),
         ({"min_fps": 6.0, "max_fps": 2.0}, "min_fps, max_fps is"),
+        ({"min_fps": 2.0, "max_fps": 1e300}, "Allowed: above 0 to 10000, ascending"),
         ({"min_fps": 2.0, "max_fps": 6.0, "low_motion": 1.0}, "low_motion, high_motion is"),
     ],
 )

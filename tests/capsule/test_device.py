@@ -62,6 +62,7 @@ def test_a_camera_at_another_pose(rng):
         ({"length": 10e-3}, "length of the capsule, 0.01 m, is below twice its radius"),
         ({"mass": np.inf}, "mass of the capsule is inf"),
         ({"frame_rate": 0.0}, "frame_rate of the capsule is 0.0"),
+        ({"frame_rate": 2.0**31}, "frame_rate of .* is 2147483648.0. Allowed: above 0 to 10000"),
         ({"cameras": ()}, "number of cameras is 0"),
         ({"cameras": (CAMERA, CAMERA)}, r"Two cameras share a name \(front, front\)"),
         ({"cameras": (replace(CAMERA, position=(0, 0, 13e-3)),)}, "camera 'front' is outside"),

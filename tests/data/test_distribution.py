@@ -61,7 +61,9 @@ def test_paths_of_slots_lead_into_tables_and_lists() -> None:
         ({"each": []}, "at least one value"),
         ({"uniform": 3}, "a list"),
         ({"uniform": [0, 1], "sigma": 2}, "unknown key sigma"),
-        ({"prevalence": -1}, "0 or more"),
+        ({"integer": [0, 10**20]}, r"Allowed: two integers between -2\^63 and 2\^63\."),
+        ({"prevalence": -1}, "0 to 100"),
+        ({"prevalence": 1e30}, r"prevalence is 1e\+30\. Allowed: 0 to 100\."),
     ],
 )
 def test_impossible_distributions_are_one_clear_line(plain: dict, message: str) -> None:

@@ -224,7 +224,7 @@ def test_without_ray_its_package_is_named(
     with pytest.raises(MissingExtraError, match=r"ray is not installed.*vrcaps\[scale\]"):
         make_dataset(read_plan(plan_file), tmp_path / "out", runner=RayCluster("local"))
     words = ["dataset", "make", str(plan_file), "--out", str(tmp_path / "out")]
-    assert "Allowed with --ray: 1 or more" in fail(
+    assert "--workers is 0. Allowed: 1 to 256" in fail(
         [*words, "--ray", "local", "--workers", "0"], capsys
     )
 

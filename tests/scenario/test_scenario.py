@@ -162,8 +162,10 @@ def test_resolve_checks_checksums(mesh_file, tmp_path):
     ("change", "error", "match"),
     [
         ({"frames": 0}, InputError, "frames is 0. Allowed: 1 to 1000000"),
-        ({"fps": 0.0}, InputError, "fps is 0.0. Allowed: above 0"),
-        ({"seed": -1}, InputError, "seed is -1. Allowed: 0 or more"),
+        ({"fps": 0.0}, InputError, "fps is 0.0. Allowed: above 0 to 10000"),
+        ({"fps": 1e300}, InputError, "fps is 1e\\+300. Allowed: above 0 to 10000"),
+        ({"seed": -1}, InputError, "seed is -1. Allowed: 0 to 18446744073709551615"),
+        ({"seed": 2**64}, InputError, "seed is 18446744073709551616. Allowed: 0 to"),
         ({"channels": ()}, InputError, "channels is .*Allowed: at least one"),
         ({"channels": ("color",)}, UnknownNameError, "No channel named 'color'. Known: albedo"),
         ({"posture": "upside"}, UnknownNameError, "No posture named 'upside'"),

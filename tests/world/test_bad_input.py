@@ -176,9 +176,9 @@ def test_names_that_nobody_knows(model: Model) -> None:
         World(model, Tissue(motility=Motility()), start_of(model))
 
 
-@pytest.mark.parametrize("seed", [-1, -7])
+@pytest.mark.parametrize("seed", [-1, -7, 2**64])
 def test_seed(model: Model, seed: int) -> None:
-    with pytest.raises(InputError, match=f"seed is {seed}. Allowed: 0, 1, 2"):
+    with pytest.raises(InputError, match=f"seed is {seed}. Allowed: 0 to {2**64 - 1}"):
         World(model, Tissue(), start_of(model), seed=seed)
 
 

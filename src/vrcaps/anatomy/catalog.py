@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.fields import plain_value
+from vrcaps.core.rng import MAX_SEED
 from vrcaps.organ.cache import cached_organ, fingerprint
 from vrcaps.organ.segments import DISTENSIONS, ORGANS
 from vrcaps.organ.surface import OrganSurface
@@ -54,23 +55,21 @@ def generate_organ(
 
     Args:
         name: One of `ORGANS`.
-        seed: Seed of the patient; not negative.
+        seed: Seed of the patient, 0 to 2**64 - 1.
         distension: `inflated`, `normal` or `collapsed`; None is the default: inflated for the
             colon, collapsed for the small bowel, normal for all others.
         mucosa: Appearance of the wall, see `bake_appearance`; None is the organ's default.
 
     Raises:
         UnknownNameError: If the catalog has no such organ or mucosa.
-        InputError: If the seed is negative or no whole number, or there is no such distension
-            or texture.
+        InputError: If the seed is out of range or no whole number, or there is no such
+            distension or texture.
     """
     if name not in ORGANS:
         raise UnknownNameError("organ", name, ORGANS)
     seed = plain_value(seed)
-    if not isinstance(seed, int):
-        raise InputError(f"Seed is {seed!r}. Allowed: 0, 1, 2, …")
-    if seed < 0:
-        raise InputError(f"Seed {seed} is negative. Allowed: 0, 1, 2, …")
+    if not (isinstance(seed, int) and 0 <= seed <= MAX_SEED):
+        raise InputError(f"Seed is {seed!r}. Allowed: 0 to {MAX_SEED}.")
     if distension not in (None, *DISTENSIONS):
         raise InputError(f"Distension is {distension!r}. Allowed: {', '.join(DISTENSIONS)}.")
     if mucosa is not None:

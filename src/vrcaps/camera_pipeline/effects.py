@@ -47,7 +47,7 @@ from vrcaps.camera_pipeline.effect.processing import (
 from vrcaps.camera_pipeline.effect.scene import DomeBubbles, SpecularReflection
 from vrcaps.camera_pipeline.effect.sensor import BayerFilter, Resolution, SensorNoise
 from vrcaps.capsule.image_chain import EQUAL_UNITS
-from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.core.fields import plain_fields
 from vrcaps.core.rng import stream, truncated_normal
 
@@ -106,6 +106,7 @@ class Effects:
 
     def __post_init__(self) -> None:
         plain_fields(self)
+        require(isinstance(self.random, bool), "random", repr(self.random), "True or False")
         for name, kind in EFFECTS.items():
             _check(kind, getattr(self, name))
 
@@ -214,13 +215,13 @@ def _check(kind: type[Effect], value: Any) -> None:
     Raises:
         InputError: If it is not a severity, a range of severities or an effect of its class.
     """
-    if value is None or value == 0 or isinstance(value, kind):
+    if value is None or isinstance(value, kind) or (type(value) is int and value == 0):
         return
     ends = value if isinstance(value, tuple) else (value,)
     given = "..".join(map(str, ends))
     if not kind.severities:
         raise InputError(f"Effect {kind.name} is {given}. Allowed: {kind.__name__}(…), 0 or None.")
-    is_range = all(isinstance(end, int) for end in ends)
+    is_range = all(type(end) is int for end in ends)
     is_range = is_range and (not isinstance(value, tuple) or len(ends) == 2)
     if not (is_range and list(ends) == sorted(ends) and 0 <= ends[0] <= ends[-1] <= MAX_SEVERITY):
         raise InputError(

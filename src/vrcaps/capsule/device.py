@@ -16,6 +16,9 @@ from vrcaps.magnet.sources import InternalMagnet
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+MAX_FRAME_RATE = 1e4
+"""Maximum frame rate of cameras [1/s]."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Device:
@@ -69,6 +72,8 @@ class Device:
         for name, unit in (("length", "m"), ("radius", "m"), ("mass", "kg"), ("frame_rate", "1/s")):
             value = getattr(self, name)
             require(0.0 < value < np.inf, f"{name} of the capsule", value, f"above 0 {unit}")
+        rate, allowed = self.frame_rate, f"above 0 to {MAX_FRAME_RATE:g} 1/s"
+        require(rate <= MAX_FRAME_RATE, "frame_rate of the capsule", rate, allowed)
         if (lowest := self.lowest_frame_rate) is not None:
             allowed = f"above 0 to frame_rate, {self.frame_rate:g} 1/s"
             is_valid = 0.0 < lowest <= self.frame_rate

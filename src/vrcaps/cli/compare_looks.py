@@ -13,6 +13,7 @@ from vrcaps.cli.arguments import require_sources
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.files import atomic_folder
+from vrcaps.core.rng import MAX_SEED
 
 if TYPE_CHECKING:
     from vrcaps.tools.appearance.compare import DescribedSet
@@ -76,7 +77,7 @@ class CompareLooks:
             self.max_images,
             f"{_MIN_IMAGES} or more",
         )
-        require(self.seed >= 0, "--seed", self.seed, "0 or more")
+        require(0 <= self.seed <= MAX_SEED, "--seed", self.seed, f"0 to {MAX_SEED}")
         sources = self._sources()
         require_sources(sources.values())
         if self.out is None:

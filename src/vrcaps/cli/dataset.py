@@ -11,7 +11,8 @@ from tyro.conf import Positional
 
 from vrcaps.cli.arguments import require_file, require_folder, require_sources
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.core.errors import InputError, require_extra
+from vrcaps.core.errors import InputError, require, require_extra
+from vrcaps.core.processes import MAX_WORKERS
 
 if TYPE_CHECKING:
     from vrcaps.data.dataset import Row
@@ -152,12 +153,12 @@ class Check:
             console.print(f"Note: patients in different splits share an organ ({shared} organs).")
 
 
-def _workers(given: int | None) -> int:
-    """Number of processes."""
+def _workers(given: int | None, least: int = 0) -> int:
+    """Number of processes; by default one per processor."""
     from vrcaps.data.runners.local import num_processors
 
-    if given is not None and given < 0:
-        raise InputError(f"--workers is {given}. Allowed: 0 or more.")
+    if given is not None:
+        require(least <= given <= MAX_WORKERS, "--workers", given, f"{least} to {MAX_WORKERS}")
     return num_processors() if given is None else given
 
 
@@ -172,8 +173,7 @@ def _runner(workers: int | None, ray: str | None) -> Runner:
 
     if ray is None:
         return Pool(count) if (count := _workers(workers)) else InProcess()
-    if workers is not None and workers < 1:
-        raise InputError(f"--workers is {workers}. Allowed with --ray: 1 or more.")
+    _workers(workers, least=1)
     return RayCluster(ray, workers)
 
 

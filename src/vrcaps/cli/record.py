@@ -15,7 +15,8 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 from vrcaps.cli.console import console, progress_bars
 from vrcaps.cli.organ import lesion_lines
 from vrcaps.cli.scenario_flags import ImageFlags, MotionFlags, OrganFlags, changes, steer_path
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, require
+from vrcaps.core.processes import MAX_WORKERS
 from vrcaps.scenario.scenario import parse_lesions
 from vrcaps.scenario.settings import changed, parse_change, settings
 
@@ -62,12 +63,11 @@ def use_threads(threads: int | None) -> None:
     """Limit the threads of core and denoiser; only before the first parallel work.
 
     Raises:
-        InputError: If there would be fewer than one.
+        InputError: If there would be fewer than one, or too many.
     """
     if threads is None:
         return
-    if threads < 1:
-        raise InputError(f"--threads is {threads}. Allowed: 1 or more.")
+    require(1 <= threads <= MAX_WORKERS, "--threads", threads, f"1 to {MAX_WORKERS}")
     os.environ["RAYON_NUM_THREADS"] = os.environ["OIDN_NUM_THREADS"] = str(threads)
 
 

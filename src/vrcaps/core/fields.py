@@ -289,6 +289,11 @@ class FileRef:
             InputError: If the file cannot be read, or does not match the given checksum.
         """
         path = Path(self.path)
+        if path.is_dir() and not (path / _TEXTURE_HEAD).is_file():
+            raise InputError(
+                f"{self.path} is a folder. Allowed: a file, or a texture's folder with "
+                f"{_TEXTURE_HEAD}."
+            )
         try:
             actual = file_sha256(path / _TEXTURE_HEAD if path.is_dir() else path)
         except OSError as error:

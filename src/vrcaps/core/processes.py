@@ -21,6 +21,9 @@ from typing import Any
 
 from vrcaps.core.errors import InputError, StorageError
 
+MAX_WORKERS = 256
+"""Maximum number of threads or processes that a user may request; far more hang the machine."""
+
 _PR_SET_PDEATHSIG = 1
 
 ProgressReport = Callable[[int, int], None]

@@ -14,6 +14,9 @@ from statistics import NormalDist
 
 import numpy as np
 
+MAX_SEED = 2**64 - 1
+"""Largest seed: the core has 64 bits for one."""
+
 
 def stream(seed: int, purpose: str, *index: int) -> np.random.Generator:
     """Create the generator for one purpose, such as ``"colon/course"``, independent of all others.

@@ -13,6 +13,11 @@ from vrcaps.core.errors import InputError, nearest
 
 PROBABILITY = "probability"
 
+_BITS = 63
+"""NumPy draws integers with fewer bits."""
+_MAX_PREVALENCE = 100.0
+"""Maximum factor of the prevalence of lesions; the mean patient then has hundreds."""
+
 Plain = Any
 """Value of TOML or JSON."""
 
@@ -138,8 +143,14 @@ class Integer:
 
     def check(self, path: str) -> None:
         """Raise InputError unless the limits are two increasing integers."""
-        if len(self.integer) != 2 or not all(type(x) is int for x in self.integer):
-            raise InputError(f"{path}: integer is {list(self.integer)}. Allowed: two integers.")
+        is_valid = len(self.integer) == 2 and all(
+            type(x) is int and abs(x) < 2**_BITS for x in self.integer
+        )
+        if not is_valid:
+            raise InputError(
+                f"{path}: integer is {list(self.integer)}. Allowed: two integers between -2^{_BITS}"
+                f" and 2^{_BITS}."
+            )
         _check_limits(self.integer, path)
 
 
@@ -182,9 +193,11 @@ class Prevalence:
         return ()
 
     def check(self, path: str) -> None:
-        """Raise InputError if the factor is negative."""
-        if _number(self.prevalence, path) < 0.0:
-            raise InputError(f"{path}: prevalence is {self.prevalence}. Allowed: 0 or more.")
+        """Raise InputError if the factor is negative or too large."""
+        if not 0.0 <= _number(self.prevalence, path) <= _MAX_PREVALENCE:
+            raise InputError(
+                f"{path}: prevalence is {self.prevalence}. Allowed: 0 to {_MAX_PREVALENCE:g}."
+            )
 
 
 @dataclass(frozen=True)

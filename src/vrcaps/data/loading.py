@@ -15,6 +15,7 @@ from vrcaps.core import rng
 from vrcaps.core.errors import InputError, UnknownNameError, import_extra, require
 from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.geometry import invert
+from vrcaps.core.processes import MAX_WORKERS
 from vrcaps.recording.frame_sequence import CAMERA_POSE, FrameSequence
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ class FrameWindows:
     step: Annotated[int, Range(1)] = 1
     stride: Annotated[int, Range(1)] = 1
     transform: Callable[[Sample], Any] | None = None
-    threads: Annotated[int, Range(0)] = 0
+    threads: Annotated[int, Range(0, MAX_WORKERS)] = 0
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -186,7 +187,7 @@ class FrameStream:
 
     windows: FrameWindows
     shuffle: bool = True
-    seed: Annotated[int, Range(0)] = 0
+    seed: Annotated[int, Range(0, rng.MAX_SEED)] = 0
     shard: Annotated[int, Range(1)] = 64
     buffer: Annotated[int, Range(1)] = 1024
     rank: Annotated[int, Range(0)] = 0

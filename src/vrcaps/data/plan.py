@@ -16,6 +16,7 @@ from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.config.plain_files import as_floats, read_plain
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.fields import Range, check_fields
+from vrcaps.core.rng import MAX_SEED
 from vrcaps.data.distribution import slots
 
 PATIENT_SLOTS = ("organ", "lesions")
@@ -72,7 +73,7 @@ class DatasetSettings:
     """
 
     name: str
-    seed: Annotated[int, Range(min=0)] = 0
+    seed: Annotated[int, Range(0, MAX_SEED)] = 0
     patients: Annotated[int, Range(min=1, max=10**6)] = 1
     repeats: Annotated[int, Range(min=1, max=10**6)] = 1
     split: Split = field(default_factory=Split)

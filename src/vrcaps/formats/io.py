@@ -165,7 +165,12 @@ def read_source(text: str, progress: ProgressReport = no_report) -> tuple[FrameS
     if episodes := [head.parent for head in listed(folder, f"*/{EPISODE_JSON}")]:
         groups = read_at_once(sequences_of, episodes, progress)
         return tuple(sequence for sequences in groups for sequence in sequences)
-    return read_format("images", text) if _holds_images(folder) else sequences_of(text)
+    if not _holds_images(folder):
+        raise InputError(
+            f"{text} contains no images, episodes or data set. Allowed: a folder of images, with "
+            f"the endings {', '.join(IMAGES)}, of an episode or a data set."
+        )
+    return read_format("images", text)
 
 
 def _holds_images(folder: Path) -> bool:

@@ -103,7 +103,7 @@ class CompositeSettings:
     normal: Annotated[float, Range(0.0, 1.0)] = 0.4
     fluid: Annotated[float, Range(0.0, 1.0)] = 0.4
     min_fraction: Annotated[float, Range(0.0, 1.0)] = 0.004
-    seed: Annotated[int, Range(min=0)] = 0
+    seed: Annotated[int, Range(0, rng.MAX_SEED)] = 0
 
     def __post_init__(self) -> None:
         check_fields(self)

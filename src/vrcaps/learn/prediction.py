@@ -71,10 +71,19 @@ def images_of(
     for one in sequences:
         if "ray" in cls.input_names and not (one.camera or field_of_view):
             raise InputError(LENS_NEEDED)
-        if len(one) and "rgb" in one.channels:
-            with suppress(OSError):
-                view_of(one, 0, predicts_lengths=cls.predicts_lengths)
+        first = _first_readable(one) if "rgb" in one.channels else None
+        if first is not None:
+            view_of(one, first, predicts_lengths=cls.predicts_lengths)
     return sequences
+
+
+def _first_readable(sequence: FrameSequence) -> int | None:
+    """Index of the first readable image; `predict` reports the others."""
+    for index in range(len(sequence)):
+        with suppress(InputError, OSError):
+            sequence.image("rgb", index)
+            return index
+    return None
 
 
 def predict(

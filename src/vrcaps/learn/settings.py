@@ -8,6 +8,7 @@ from typing import Annotated
 
 from vrcaps.config.convert import from_plain
 from vrcaps.core.fields import Range, check_fields
+from vrcaps.core.rng import MAX_SEED
 from vrcaps.learn.registry import FORMER_TASKS, TASKS, current_settings
 from vrcaps.learn.task import Task
 from vrcaps.training import changed_settings, preset_named
@@ -54,7 +55,7 @@ class TrainSettings:
     evaluation_frames: Annotated[int, Range(1)] = 400
     freeze_batch_norm: bool = False
     average_with_start: Annotated[float, Range(above=0.0, max=1.0)] = 1.0
-    seed: Annotated[int, Range(0)] = 0
+    seed: Annotated[int, Range(0, MAX_SEED)] = 0
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -11,7 +11,7 @@ import numpy as np
 
 from vrcaps.core.errors import require
 from vrcaps.core.fields import Range, check_fields
-from vrcaps.core.rng import drawn_along
+from vrcaps.core.rng import MAX_SEED, drawn_along
 from vrcaps.core.units import MM
 
 CM2 = 1e-4
@@ -353,7 +353,7 @@ class Contents:
         check_fields(self, of="Contents")
         require(abs(self.drift) <= 0.1, "Contents' drift", self.drift, "-0.1 to 0.1 m/s")
         require(0.0 <= self.reach < np.inf, "Contents' reach", self.reach, "0 m or more")
-        require(self.seed >= 0, "Contents' seed", self.seed, "0, 1, 2, …")
+        require(0 <= self.seed <= MAX_SEED, "Contents' seed", self.seed, f"0 to {MAX_SEED}")
         for name in ("bubbles", "chyme", "liquid", "medium", "film"):
             value = getattr(self, name)
             if isinstance(value, int):

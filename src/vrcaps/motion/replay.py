@@ -10,12 +10,12 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
 from vrcaps.core.errors import InputError, UnknownNameError
-from vrcaps.core.fields import FileRef, check_fields, file_ref, path_of
+from vrcaps.core.fields import FileRef, Range, check_fields, file_ref, path_of
 from vrcaps.core.geometry import (
     invert,
     matrix_from_quaternion,
@@ -67,7 +67,7 @@ class Replay(MotionSettings):
     pose: Literal["camera", "capsule"] = "camera"
     frame: Literal["world", "patient"] = "world"
     T_frame_recording: tuple[tuple[float, float, float, float], ...] = _IDENTITY
-    start: float = 0.0
+    start: Annotated[float, Range()] = 0.0
     allow_outside: bool = False
     rigid_wall: bool = False
 

@@ -13,6 +13,7 @@ from vrcaps._core import encode_pngs
 from vrcaps.core.errors import InputError, narrow
 from vrcaps.core.files import write_bytes
 from vrcaps.core.geometry import invert, rotate_vectors, transform_points
+from vrcaps.core.rng import MAX_SEED
 from vrcaps.mesh.glb import Glb, array_of, read_document, read_glb, vertices_of, view_of
 from vrcaps.organ.gltf_material import (
     RELIEF_STEP,
@@ -24,7 +25,13 @@ from vrcaps.organ.gltf_material import (
     texture_images,
     webp_fits,
 )
-from vrcaps.organ.surface import HEIGHT_STEP, json_safe, organ_from_arrays, organ_to_arrays
+from vrcaps.organ.surface import (
+    HEIGHT_STEP,
+    Centerline,
+    json_safe,
+    organ_from_arrays,
+    organ_to_arrays,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -299,12 +306,25 @@ def _read(document: dict[str, Any], binary: memoryview) -> OrganSurface:
     if not isinstance(own["plain"]["metadata"], dict):
         raise ValueError("its metadata are not a table")
     seed = own["plain"]["metadata"].get("seed", 0)
-    if isinstance(seed, int) and seed < 0:
-        raise ValueError(f"seed in its metadata is {seed}. Allowed: 0 or more")
+    if isinstance(seed, int) and not 0 <= seed <= MAX_SEED:
+        raise ValueError(f"seed in its metadata is {seed}. Allowed: 0 to {MAX_SEED}")
     organ = organ_from_arrays(values | own["plain"])
     if not (np.diff(organ.centerline.arc_length) > 0.0).all():
         raise ValueError("the arc lengths of its centerline do not ascend")
+    _require_centerline(organ.centerline)
     return organ
+
+
+def _require_centerline(line: Centerline) -> None:
+    """Check points and radii of a centerline.
+
+    Raises:
+        ValueError: If they are damaged.
+    """
+    if not (np.linalg.norm(np.diff(line.points, axis=0), axis=1) > 0.0).all():  # NaN neither
+        raise ValueError("the points of its centerline are repeated or not finite")
+    if not ((line.radius >= 0.0) & np.isfinite(line.radius)).all() or not line.radius.any():
+        raise ValueError("the radii of its centerline are negative, all zero or not finite")
 
 
 def _of_vertices(

@@ -55,7 +55,7 @@ class TrainingSettings:
 
     env: EnvSettings = field(default_factory=EnvSettings)
     learner: PpoSettings = field(default_factory=PpoSettings)
-    seed: Annotated[int, Range(min=0)] = 0
+    seed: Annotated[int, Range(0, rng.MAX_SEED)] = 0
 
     def __post_init__(self) -> None:
         check_fields(self)

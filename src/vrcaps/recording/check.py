@@ -12,7 +12,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.camera.camera import Camera, camera_rays
 from vrcaps.core.errors import InputError, VrcapsError, reason_of
-from vrcaps.core.geometry import rotate_vectors, wall_of
+from vrcaps.core.geometry import require_rigid, rotate_vectors, wall_of
 from vrcaps.core.processes import ProgressReport, no_report
 from vrcaps.core.units import UM
 from vrcaps.lumen.lumen_contents import CHYME
@@ -122,6 +122,10 @@ def _check_head(episode: Episode) -> Iterator[Problem]:
     for camera in episode.cameras:
         if not _is_rigid(camera.T_capsule_camera[None]).all():
             yield Problem(EPISODE_JSON, f"T_capsule_camera of {camera.name!r} is not rigid")
+    try:
+        require_rigid(np.array(episode.head.get("T_world_patient"), float), "T_world_patient")
+    except (TypeError, ValueError) as error:
+        yield Problem(EPISODE_JSON, f"the pose of the patient is not rigid ({reason_of(error)})")
 
 
 def _check_table(episode: Episode) -> Iterator[Problem]:

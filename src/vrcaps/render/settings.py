@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from vrcaps.core.errors import InputError
 from vrcaps.core.fields import Range, check_fields
+from vrcaps.core.rng import MAX_SEED
 
 MAX_FILM_UM = 1000.0
 """Maximum thickness of a mucus film [µm]; thicker liquid is a pool."""
@@ -52,7 +53,7 @@ class RenderSettings:
     light: Light = "radiosity"
     spp: Annotated[int, Range(1, 2**31)] = 16
     max_bounces: Annotated[int, Range(1, 100)] = 4
-    path_seed: Annotated[int, Range(0, 2**64 - 1)] = 0
+    path_seed: Annotated[int, Range(0, MAX_SEED)] = 0
     scattering: bool = False
     denoise: bool = False
     villi: Annotated[float, Range(0.0, 2.0)] = 1.0

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from vrcaps.camera_pipeline.effects import Effects, parse_effects
-from vrcaps.capsule.device import Device
+from vrcaps.capsule.device import MAX_FRAME_RATE, Device
 from vrcaps.capsule.device_file import device_of
 from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.config.plain_files import read_plain
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.fields import FileRef, Range, check_fields, file_ref
-from vrcaps.core.rng import stream
+from vrcaps.core.rng import MAX_SEED, stream
 from vrcaps.core.units import parse_length
 from vrcaps.lesion import Lesion, draw_lesions, parse_lesion
 from vrcaps.lumen.contents import Contents
@@ -57,7 +57,7 @@ class OrganGenerated:
     """
 
     name: str = "colon"
-    seed: Annotated[int, Range(min=0)] = 0
+    seed: Annotated[int, Range(0, MAX_SEED)] = 0
     distension: Distension | None = None
     mucosa: str | MucosaSettings | None = None
 
@@ -159,8 +159,8 @@ class Scenario:
     posture: str = "supine"
     motion: MotionSettings = field(default_factory=FlyThrough)
     frames: Annotated[int, Range(1, MAX_FRAMES)] = 100
-    fps: Annotated[float | None, Range(above=0.0)] = None
-    seed: Annotated[int, Range(min=0)] = 0
+    fps: Annotated[float | None, Range(above=0.0, max=MAX_FRAME_RATE)] = None
+    seed: Annotated[int, Range(0, MAX_SEED)] = 0
     channels: tuple[str, ...] = DEFAULT_CHANNELS
     render: RenderSettings = field(default_factory=RenderSettings)
     wall: bool = False

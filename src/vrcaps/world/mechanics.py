@@ -30,7 +30,7 @@ from vrcaps import _core
 from vrcaps.capsule.device import Body, homogeneous_body
 from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.core.geometry import invert, quaternion_from_matrix, rotate_vectors
-from vrcaps.core.rng import stream
+from vrcaps.core.rng import MAX_SEED, stream
 from vrcaps.magnet.sources import Source
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.motility.layout import arc_length_samples
@@ -164,7 +164,7 @@ class Mechanics:
         check_dynamics(dynamics, model, tissue)
         longest = min(_LONGEST_SUBSTEP, tissue.longest_substep)
         require(0.0 < substep <= longest, "substep", substep, f"above 0 to {longest:.3g} s")
-        require(seed >= 0, "seed", seed, "0, 1, 2, …")
+        require(0 <= seed <= MAX_SEED, "seed", seed, f"0 to {MAX_SEED}")
         self.model, self.tissue, self.substep, self.seed = model, tissue, substep, seed
         self.dynamics: DynamicsKind = dynamics
         self.body = body or homogeneous_body(model.device)

@@ -17,6 +17,7 @@ from vrcaps.camera_pipeline.effect.base import (
     Stage,
     TimingEffect,
 )
+from vrcaps.capsule.device import MAX_FRAME_RATE
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.fields import Range
 from vrcaps.core.rng import normal_along
@@ -262,8 +263,9 @@ class AdaptiveFrameRate(TimingEffect):
     def __post_init__(self) -> None:
         super().__post_init__()
         rates, speeds = (self.min_fps, self.max_fps), (self.low_motion, self.high_motion)
-        is_valid = 0.0 < self.min_fps <= self.max_fps < math.inf
-        require(is_valid, "AdaptiveFrameRate's min_fps, max_fps", rates, "above 0 and ascending")
+        is_valid = 0.0 < self.min_fps <= self.max_fps <= MAX_FRAME_RATE
+        allowed = f"above 0 to {MAX_FRAME_RATE:g}, ascending"
+        require(is_valid, "AdaptiveFrameRate's min_fps, max_fps", rates, allowed)
         is_valid = 0.0 <= self.low_motion < self.high_motion < math.inf
         allowed = "0 or more and ascending"
         require(is_valid, "AdaptiveFrameRate's low_motion, high_motion", speeds, allowed)

@@ -29,7 +29,7 @@ from vrcaps.camera_pipeline.effect.base import (
 from vrcaps.core.errors import require
 from vrcaps.core.fields import Range
 from vrcaps.core.geometry import unit
-from vrcaps.core.rng import stream
+from vrcaps.core.rng import MAX_SEED, stream
 from vrcaps.core.units import MM
 from vrcaps.render.channels import CHANNELS
 
@@ -265,7 +265,7 @@ class LedBalance(CameraEffect):
 
     spread: Annotated[float, Range(min=0.0, max=2.0)]
     color_spread: Annotated[float, Range(min=0.0, max=1.0)] = 0.0
-    seed: Annotated[int, Range(min=0)] = 0
+    seed: Annotated[int, Range(0, MAX_SEED)] = 0
 
     name = "led_balance"
     severities = (

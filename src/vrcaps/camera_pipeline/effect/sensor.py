@@ -12,6 +12,7 @@ from vrcaps.camera.derive import scaled_camera
 from vrcaps.camera_pipeline.effect.base import CameraEffect, CameraSetup, ImageEffect
 from vrcaps.core.errors import require
 from vrcaps.core.fields import Range
+from vrcaps.core.rng import MAX_SEED
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -122,7 +123,7 @@ class SensorNoise(ImageEffect):
         highest = 2**self.bits - 2
         require(0 <= black <= highest, "SensorNoise's black_level", black, f"0 to {highest}")
         seed = self.sensor_seed
-        require(seed >= 0, "SensorNoise's sensor_seed", seed, "0, 1, 2, …")
+        require(0 <= seed <= MAX_SEED, "SensorNoise's sensor_seed", seed, f"0 to {MAX_SEED}")
 
     def system_gain(self, gain: float = 1.0) -> float:
         """System gain K at a gain: digital value per electron."""

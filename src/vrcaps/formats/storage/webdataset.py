@@ -55,7 +55,7 @@ class WebDataset:
     """
 
     shard_mb: Annotated[float, Range(above=0.0, unit="MB")] = 1000.0
-    seed: Annotated[int | None, Range(0)] = None
+    seed: Annotated[int | None, Range(0, rng.MAX_SEED)] = None
 
     kind: ClassVar[str] = "webdataset"
     needs: ClassVar[Needs] = Needs(channels=(), poses=False)

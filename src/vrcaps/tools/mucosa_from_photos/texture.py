@@ -12,7 +12,7 @@ from vrcaps.core.color import LUMINANCE, log_luminance, srgb_from_log_linear
 from vrcaps.core.errors import InputError, import_extra, require
 from vrcaps.core.fields import Range, check_fields
 from vrcaps.core.processes import ProgressReport, no_report
-from vrcaps.core.rng import stream
+from vrcaps.core.rng import MAX_SEED, stream
 from vrcaps.core.units import MM
 from vrcaps.mucosa.texture import HEIGHT_STEP, MucosaTexture
 from vrcaps.tools.mucosa_from_photos.patches import (
@@ -265,7 +265,7 @@ def _record(source: PhotoAnalysis) -> dict[str, Any]:
 
 
 def _check(options: TextureOptions, photos: list[Photo], seed: int) -> None:
-    require(seed >= 0, "The seed", seed, "0 or more")
+    require(0 <= seed <= MAX_SEED, "The seed", seed, f"0 to {MAX_SEED}")
     if options.box is not None and len(photos) != 1:
         raise InputError(f"A box goes with one photograph; {len(photos)} were given.")
 

@@ -78,7 +78,7 @@ def test_checksums_anywhere_in_a_tree(tmp_path):
 
 
 def test_a_texture_is_checked_by_its_head(tmp_path):
-    with pytest.raises(InputError, match="Cannot read"):
+    with pytest.raises(InputError, match=r"is a folder\. Allowed: a file, or a texture's folder"):
         FileRef(str(tmp_path)).checked()
     (tmp_path / "mucosa.json").write_text("{}")
     assert FileRef(str(tmp_path)).checked().sha256

@@ -140,3 +140,9 @@ def test_a_folder_of_episodes_is_a_source(pinhole_episode, tmp_path):
     assert shown == [(1, 2), (2, 2)]
     assert len(first) == len(second) == len(pinhole_episode)
     assert np.array_equal(first.image("rgb", 0), pinhole_episode.image("front", "rgb", 0))
+
+
+def test_a_folder_without_images_is_named_as_such(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"empty contains no images, episodes or data set\. Allo"):
+        read_sources([str(tmp_path / "empty")])

@@ -265,6 +265,18 @@ def test_a_lens_is_asked_for_before_a_network_is_loaded(tmp_path) -> None:
         images_of(folder, "depth", field_of_view=math.radians(-1.0))
 
 
+@pytest.mark.parametrize("damaged", ["a.png", "c.png"])
+def test_an_unreadable_image_stops_no_other_in_either_order(tmp_path, damaged: str) -> None:
+    write_images([(tmp_path / "b.png", framed())])
+    (tmp_path / damaged).write_bytes(b"")
+    (found,) = images_of(str(tmp_path), "depth", field_of_view=2.0)
+    assert len(found) == 2
+    with pytest.raises(InputError, match=r"has 96 x 64 pixels, but the camera 'front' makes 320 x"):
+        images_of(str(tmp_path), "depth", "mirocam")
+    (tmp_path / "b.png").write_bytes(b"")
+    assert len(images_of(str(tmp_path), "depth", field_of_view=2.0)[0]) == 2
+
+
 def test_the_colonoscope_is_a_camera_for_images_of_its_size(tmp_path) -> None:
     write_images([(tmp_path / "one.png", np.full((288, 320, 3), 90, np.uint8))])
     (one,) = images_of(str(tmp_path), "depth", "colonoscope")

@@ -1,3 +1,4 @@
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -204,6 +205,7 @@ def test_a_slack_lumen_closes_around_a_replayed_path(tmp_path, model):
     [
         ({"format": "bvh"}, UnknownNameError, "No format named 'bvh'"),
         ({"start": 2.9}, InputError, "The recorded path covers 0 s to 2.9 s, but the frames need"),
+        ({"start": math.nan}, InputError, "start is nan. Allowed: any finite number"),
         ({"T_frame_recording": ((2.0, 0, 0, 0),) * 4}, InputError, "is not a rigid transform"),
         ({"T_frame_recording": ((1.0, 0, 0, 0),)}, InputError, "is not a rigid transform"),
     ],

@@ -269,6 +269,24 @@ def test_a_centerline_with_repeated_points_is_one_line(organ, tmp_path: Path, se
         read_organ(path)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "match"),
+    [
+        ("radius", -1.0, "the radii of its centerline are negative"),
+        ("radius", np.nan, "the radii of its centerline are negative"),
+        ("radius", 0.0, "the radii of its centerline are negative, all zero"),
+        ("points", np.nan, "the points of its centerline are repeated or not finite"),
+        ("points", 0.0, "the points of its centerline are repeated"),
+    ],
+)
+def test_a_damaged_centerline_is_one_line(organ, tmp_path: Path, name, value, match) -> None:
+    path, line = tmp_path / "a.glb", organ.centerline
+    damaged = replace(line, **{name: np.full_like(getattr(line, name), value)})
+    write_organ(path, replace(organ, centerline=damaged))
+    with pytest.raises(InputError, match=rf"a\.glb is damaged: {match}"):
+        read_organ(path)
+
+
 def test_a_file_cut_short_is_one_line(organ, tmp_path: Path) -> None:
     path = tmp_path / "a.glb"
     write_organ(path, organ)

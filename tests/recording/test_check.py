@@ -131,6 +131,8 @@ def test_an_interrupted_recording_is_the_only_fault(episode, key):
         (lambda h: h["cameras"][0].pop("exposure"), "is not a camera"),
         (lambda h: h["cameras"][0]["lens"].update(kind="eye"), "cameras[0].lens.kind is 'eye'"),
         (lambda h: h["cameras"][0]["T_capsule_camera"][0].__setitem__(0, 2.0), "is not rigid"),
+        (lambda h: h["T_world_patient"][0].__setitem__(3, float("nan")), "is not rigid"),
+        (lambda h: h.pop("T_world_patient"), "the pose of the patient is not rigid"),
         (lambda h: h["scenario"].update(frames=6), "scenario has other frames or channels"),
         (lambda h: h["scenario"].update(speed=1), "Unknown key speed"),
         (lambda h: h.pop("organ"), "organ is None, not dict"),

@@ -22,6 +22,8 @@ from vrcaps.camera_pipeline.effect.optics import DepthOfField
 from vrcaps.camera_pipeline.effect.sensor import BayerFilter, SensorNoise
 from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES, Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, PipelineState
+from vrcaps.capsule.device_file import read_device
+from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import transform_from
 from vrcaps.lumen.contents import Contents
 from vrcaps.motion.motion import Step
@@ -164,6 +166,19 @@ def test_shutter_is_open_no_longer_than_a_frame(renderer: Renderer) -> None:
     assert np.array_equal(longest, longer)
     alone = captured(renderer, Effects(rolling_shutter=RollingShutter(0.1)), Step(0, NOW)).rgb
     assert np.array_equal(np.asarray(alone), captured(renderer, Effects(), Step(0, NOW)).rgb)
+
+
+@pytest.mark.parametrize("side", [2, 3, 4])
+def test_small_images_get_all_effects_or_one_clear_line(renderer: Renderer, side: int) -> None:
+    camera, chain = make_camera(pinhole(side)), Effects().of_device(read_device("mirocam"))
+    plain = CameraPipeline(renderer, camera, Effects(), fps=4.0).capture(Step(0, NOW))
+    assert plain.rgb.shape == (side, side, 3)
+    if side < 4:
+        with pytest.raises(InputError, match=rf"is {side}\. Allowed: 4 or more with effects"):
+            CameraPipeline(renderer, camera, chain, fps=4.0)
+    else:
+        frame = CameraPipeline(renderer, camera, chain, fps=4.0).capture(Step(0, NOW))
+        assert frame.rgb.shape == (side, side, 3)
 
 
 def test_meter_reads_the_mean_luminance(renderer: Renderer) -> None:

@@ -339,6 +339,12 @@ def test_zero_led_direction(tmp_path):
         load_text(tmp_path, DEVICE + led)
 
 
+def test_led_in_another_unit(tmp_path):
+    led = "\n[[cameras.leds]]\nposition_mm = [3600, 0, 0]\nintensity_mw_per_sr = [1, 1, 1]\n"
+    with pytest.raises(InputError, match=r"distance of an LED is 3\.6\. Allowed: up to 0\.2 m"):
+        load_text(tmp_path, DEVICE + led)
+
+
 def test_cameras_must_have_different_names(tmp_path):
     cameras = DEVICE[DEVICE.index("[[cameras]]") :]
     with pytest.raises(InputError, match=r"Two cameras share a name \(front, front\)"):

@@ -367,8 +367,9 @@ def test_image_circle_is_dark_outside(lens: str) -> None:
 
 
 def test_wrong_settings_and_names() -> None:
-    with pytest.raises(InputError, match=r"supersampling is 0\. Allowed: 1 or more"):
-        RenderSettings(light="direct", supersampling=0)
+    for factor in (0, 17):
+        with pytest.raises(InputError, match=rf"supersampling is {factor}\. Allowed: 1 to 16"):
+            RenderSettings(light="direct", supersampling=factor)
     camera = make_camera()
     renderer = Renderer(make_model(sphere(1), camera), DIRECT)
     with pytest.raises(

@@ -135,7 +135,7 @@ def test_another_loop_gives_way_where_a_closed_lumen_reaches_beyond_the_wall_at_
     along, angle = np.linspace(0.0, leg, 151), np.linspace(0.0, np.pi, 27)[1:-1]
     bend = np.stack([turn * (1.0 - np.cos(angle)), leg + turn * np.sin(angle)], axis=1)
     there = np.stack([0.0 * along, along], axis=1)
-    line = np.concatenate([there, bend, there[::-1] + [2.0 * turn, 0.0]])
+    line = np.concatenate([there, bend, there[::-1] + np.array([2.0 * turn, 0.0])])
     line = np.insert(line, 1, 0.0, axis=1)
     organ = replace(tube_about(line, 8 * MM, 48), metadata={CLOSED_RADIUS: 2 * MM})
     model = Model(organ, read_device("mirocam"), np.eye(4))
@@ -143,8 +143,11 @@ def test_another_loop_gives_way_where_a_closed_lumen_reaches_beyond_the_wall_at_
     pose[:3, 3] = [4.5 * MM, 0.0, 60 * MM]
     displacement = WallDisplacement(model, model)
     half, radius = 0.5 * model.device.length, model.device.radius
+    assert displacement.closure is not None
     moved, closed = displacement.closure.close(pose, half, radius)
     only_closed = model.vertices_world.copy()
     only_closed[moved] = closed
     assert len(self_intersections(only_closed, organ.faces)) > 0
-    assert len(self_intersections(displacement.vertices_world(pose), organ.faces)) == 0
+    vertices = displacement.vertices_world(pose)
+    assert vertices is not None
+    assert len(self_intersections(vertices, organ.faces)) == 0

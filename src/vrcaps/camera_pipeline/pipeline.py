@@ -16,6 +16,7 @@ from vrcaps.camera_pipeline.effect.base import CameraSetup, FrameContext, ImageE
 from vrcaps.camera_pipeline.effect.exposure import image_speed
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.core.color import LUMINANCE
+from vrcaps.core.errors import require
 from vrcaps.render.channels import Frame
 from vrcaps.render.flow import SUBSAMPLE, SurfacePoints
 from vrcaps.render.sampling import crop_margin
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
 
 _MOTION_CHANNELS = {"foreground_label", "foreground_depth"}
 """Channels from which the image motion is computed."""
+
+_MIN_SIDE = 4
+"""Minimum side of an image with effects [px]: two sites of each color of a Bayer mosaic."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,8 @@ class CameraPipeline:
             channels: Channels of the frames.
 
         Raises:
-            InputError: If a severity is still a range.
+            InputError: If a severity is still a range, or an image with effects has a side of fewer
+                than 4 pixels.
             UnknownNameError: If the camera does not exist.
         """
         device = renderer.model.device
@@ -129,6 +134,9 @@ class CameraPipeline:
         self._rate_adapts = effects.resolve("adaptive_frame_rate") is not None
         self._automatic: AutoExposure | None = effects.resolve("auto_exposure")
         image_effects = effects.of_kind(ImageEffect)
+        if image_effects:
+            side, allowed = min(camera.width, camera.height), f"{_MIN_SIDE} or more with effects"
+            require(side >= _MIN_SIDE, f"camera {camera.name!r} pixels of a side", side, allowed)
         setup = CameraSetup(camera, camera_index, fps, seed, image_effects)
         self._stages: dict[str, Stage] = {
             effect.name: effect.stage(setup) for effect in image_effects

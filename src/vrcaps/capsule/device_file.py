@@ -26,6 +26,9 @@ from vrcaps.magnet.magnets import SHAPES
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import Block, Cylinder, InternalMagnet, Magnet, Ring, Sphere
 
+_MAX_LED_DISTANCE = 0.2
+"""Maximum distance of an LED from its camera [m]; beyond, a file is in another unit."""
+
 Vector = tuple[float, float, float]
 
 
@@ -116,10 +119,16 @@ def read_device_file(path: Path) -> Device:
 
     Raises:
         InputError: If the file cannot be read, is not TOML, lacks a key, has an unknown key or one
-            of the wrong type, or contains an impossible lens, pose or size.
+            of the wrong type, contains an impossible lens, pose or size, or an LED more than 0.2 m
+            from its camera.
     """
     plain = read_plain(path, "device")
-    return from_plain(Device, {"name": path.stem, **plain}, at=f"{path.name}:", units=True)
+    device = from_plain(Device, {"name": path.stem, **plain}, at=f"{path.name}:", units=True)
+    for camera in device.cameras:
+        away = max((float(np.linalg.norm(led.position_camera)) for led in camera.leds), default=0.0)
+        allowed = f"up to {_MAX_LED_DISTANCE:g} m"
+        require(away <= _MAX_LED_DISTANCE, f"{path.name}: distance of an LED", away, allowed)
+    return device
 
 
 def write_device(path: Path, device: Device) -> None:

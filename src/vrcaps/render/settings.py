@@ -23,8 +23,8 @@ class RenderSettings:
         >>> renderer = vrcaps.Renderer(model, vrcaps.RenderSettings(light="path", spp=64))
 
     Attributes:
-        supersampling: Rays per pixel along each axis; the color of a pixel is the mean over all
-            of them. All other channels hold the value at the pixel's center.
+        supersampling: Rays per pixel along each axis, 1 to 16; the color of a pixel is the mean
+            over all of them. All other channels hold the value at the pixel's center.
         shadows: Whether folds cast shadows from each LED, which takes half of the frame time;
             always on with path tracing.
         light: Light transport: `direct` (LEDs only), `radiosity` (indirect light between gather
@@ -48,7 +48,7 @@ class RenderSettings:
             nm, which make vessels stand out.
     """
 
-    supersampling: Annotated[int, Range(min=1)] = 1
+    supersampling: Annotated[int, Range(1, 16)] = 1
     shadows: bool = True
     light: Light = "radiosity"
     spp: Annotated[int, Range(1, 2**31)] = 16

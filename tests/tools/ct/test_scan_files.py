@@ -165,6 +165,26 @@ def test_a_nifti_that_says_too_much_is_refused_before_it_is_read(tmp_path, size,
         read_volume(path)
 
 
+@pytest.mark.parametrize(
+    ("spacing", "match"),
+    [
+        (0.0, r"its header states voxels of \[0\.0, 1\.0, 1\.0\] mm"),
+        (np.nan, r"its header states voxels of \[nan, 1\.0, 1\.0\] mm"),
+        (1e6, r"states voxels of 1e\+06 × 1 × 1 mm\. Allowed: sides from 1 µm, and .* up to 10 m"),
+        (1e-6, r"states voxels of 1e-06 × 1 × 1 mm"),
+    ],
+)
+def test_a_nifti_without_a_plausible_scale_is_refused(tmp_path, spacing, match) -> None:
+    path = tmp_path / "scan.nii"
+    sitk.WriteImage(sitk.GetImageFromArray(np.zeros((4, 5, 6), np.int16)), str(path))
+    data = bytearray(path.read_bytes())
+    data[80:84] = np.array(spacing, "<f4").tobytes()
+    data[254:256] = np.zeros(1, "<i2").tobytes()  # no affine map, which states a scale as well
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=match):
+        read_volume(path)
+
+
 def test_a_slice_of_too_many_pixels_is_refused_unread(tmp_path, monkeypatch) -> None:
     write_dicom(tmp_path, small())
     monkeypatch.setattr(scan_files, "_MAX_PIXELS", 15)

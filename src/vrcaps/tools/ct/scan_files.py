@@ -24,6 +24,7 @@ from vrcaps.tools.ct.volume import (
     hounsfield,
     import_sitk,
     itk_reason,
+    require_extent,
     require_finite,
     require_voxels,
     upright,
@@ -196,23 +197,23 @@ _CHUNK = 1 << 24  # bytes read at a time
 _HEADERS = {
     348: np.dtype(
         {
-            "names": ["type", "start", "bits", "dim"],
-            "formats": ["i2", "f4", "i2", "8i2"],
-            "offsets": [70, 108, 72, 40],
+            "names": ["type", "start", "bits", "dim", "pixdim"],
+            "formats": ["i2", "f4", "i2", "8i2", "8f4"],
+            "offsets": [70, 108, 72, 40, 76],
         }
     ),
     540: np.dtype(
         {
-            "names": ["type", "start", "bits", "dim"],
-            "formats": ["i2", "i8", "i2", "8i8"],
-            "offsets": [12, 168, 14, 16],
+            "names": ["type", "start", "bits", "dim", "pixdim"],
+            "formats": ["i2", "i8", "i2", "8i8", "8f8"],
+            "offsets": [12, 168, 14, 16, 104],
         }
     ),
 }
 
 
 def require_finite_nifti(path: Path) -> None:
-    """Check that all voxels of a NIfTI file are there and finite.
+    """Check that all voxels of a NIfTI file are there and finite, and have a size.
 
     Raises:
         InputError: If some are not, or the file is truncated.
@@ -230,7 +231,7 @@ def _num_bad(file: IO[bytes] | gzip.GzipFile) -> int:
     """Number of voxels that are not finite; 0 for integer types.
 
     Raises:
-        ValueError: If there are fewer bytes than the header states.
+        ValueError: If there are fewer bytes than the header states, or voxels have no size.
     """
     head = file.read(max(_HEADERS))
     orders: tuple[Literal["<", ">"], ...] = ("<", ">")
@@ -241,6 +242,9 @@ def _num_bad(file: IO[bytes] | gzip.GzipFile) -> int:
             kind = _FLOATS.get(int(fields["type"]))
             count, length = _count(file, int(fields["start"]), kind and order + kind)
             rank, *sides = map(int, fields["dim"])
+            spacing = fields["pixdim"][1:4]
+            if not (np.abs(spacing) > 0.0).all():  # of 0 or NaN, which SimpleITK reads as 1 mm
+                raise ValueError(f"its header states voxels of {spacing.tolist()} mm")
             stated = math.prod(sides[:rank]) * int(fields["bits"]) // 8
             if length < stated:
                 raise ValueError(f"it has {length} bytes of voxels, and its header says {stated}")
@@ -296,7 +300,9 @@ def read_volume(
         MissingExtraError: If SimpleITK is not installed.
     """
     if path.is_dir():
-        return upright(read_dicom(path, series=series, progress=progress))
+        volume = read_dicom(path, series=series, progress=progress)
+        require_extent(volume)
+        return upright(volume)
     if not path.exists():
         raise InputError(f"No scan at {path}. Give a DICOM folder or a NIfTI file.")
     if not path.name.lower().endswith(FILE_TYPES):
@@ -304,7 +310,9 @@ def read_volume(
             f"Unknown type of scan {path.name!r}. Allowed: a folder of DICOM slices, or a file "
             f"that ends in {', '.join(FILE_TYPES)}."
         )
-    return upright(_read_file(path, is_label_map=is_label_map))
+    volume = _read_file(path, is_label_map=is_label_map)
+    require_extent(volume)
+    return upright(volume)
 
 
 def _require_bytes(path: Path, voxels: int) -> None:

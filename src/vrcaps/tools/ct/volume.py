@@ -20,6 +20,8 @@ _SAME_GRID = 0.02  # maximum distance, in voxels, between the nodes of two align
 
 
 _MAX_VOXELS = 1 << 30
+_FINEST, _LONGEST = 1e-6, 10.0
+"""Limits of the sides of voxels and of a scan [m]."""
 
 
 def require_voxels(count: int, source: object) -> None:
@@ -32,6 +34,22 @@ def require_voxels(count: int, source: object) -> None:
         raise InputError(
             f"{source} states {count:.3g} voxels. Allowed: up to {_MAX_VOXELS:.3g}. "
             "Crop or coarsen the scan."
+        )
+
+
+def require_extent(volume: Volume) -> None:
+    """Check the size of a scan's voxels and of the whole scan.
+
+    Raises:
+        InputError: If voxels are smaller than 1 µm, or a side is longer than 10 m.
+    """
+    spacing = volume.spacing
+    sides = spacing * volume.values.shape
+    if not (np.isfinite(spacing).all() and spacing.min() >= _FINEST and sides.max() <= _LONGEST):
+        text = " × ".join(f"{d / MM:.3g}" for d in spacing[::-1])
+        raise InputError(
+            f"{volume.source} states voxels of {text} mm. Allowed: sides from 1 µm, and a scan of "
+            "up to 10 m. Correct its header."
         )
 
 

@@ -143,7 +143,7 @@ def test_a_reference_of_copies_is_refused(tmp_path: Path, capsys: pytest.Capture
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--seed", "-1"], "--seed is -1. Allowed: 0 or more."),
+        (["--seed", "-1"], "--seed is -1. Allowed: 0 to 18446744073709551615."),
         (["--max-images", "5"], "--max-images is 5. Allowed: 12 or more."),
         (["--other", "a=.", "--other", "a=."], "the name 'a' is taken. Give another name."),
         (["--other", "meaning=."], "the name 'meaning' is taken"),

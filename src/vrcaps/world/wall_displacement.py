@@ -158,10 +158,9 @@ class WallDisplacement:
         other = np.setdiff1d(_near(self._rows_at_rest, *box), closed)
         if not len(other):
             return
-        local = transform_points(invert(T_world_capsule), vertices[closed])
-        local = local[np.abs(local[:, 2]) < half + radius]
-        local[:, 2] -= np.clip(local[:, 2], -half, half)
-        distance = np.linalg.norm(local, axis=1)
+        offset = _from_segment(vertices[closed], T_world_capsule, (-half, half))
+        offset = offset[np.abs(offset[:, 2]) < radius]
+        distance = np.linalg.norm(offset, axis=1)
         around = float(distance[distance < 2.0 * radius].max(initial=radius))
         _stretch((vertices, other), T_world_capsule, (-half, half), around, None)
 
@@ -195,10 +194,9 @@ def _stretch(
         radius: Distance from it that is cleared [m].
         least: Minimum distance of the vertices to it [m]; None if unknown.
     """
-    (vertices, near), (low, high), reach = part, ends, 2.0 * radius
-    local = transform_points(invert(T_world_capsule), vertices[near])
-    local[:, 2] -= np.clip(local[:, 2], low, high)
-    distance = np.linalg.norm(local, axis=1)
+    (vertices, near), reach = part, 2.0 * radius
+    offset = _from_segment(vertices[near], T_world_capsule, ends)
+    distance = np.linalg.norm(offset, axis=1)
     moved = (distance < reach) & (distance > _MIN_DISTANCE)
     near, distance = near[moved], distance[moved]
     if least is None:
@@ -207,8 +205,25 @@ def _stretch(
         return
     fraction = np.clip((distance - least) / (reach - least), 0.0, 1.0)
     further = radius + radius * fraction ** ((reach - least) / radius) - distance
-    outward = local[moved] @ T_world_capsule[:3, :3].T / distance[:, None]
+    outward = offset[moved] @ T_world_capsule[:3, :3].T / distance[:, None]
     vertices[near] += further[:, None] * outward
+
+
+def _from_segment(
+    points: Float[np.ndarray, "n 3"],
+    T_world_capsule: Float[np.ndarray, "4 4"],
+    ends: tuple[float, float],
+) -> Float[np.ndarray, "n 3"]:
+    """Offset of points from the nearest point of a segment of the body's axis, in its frame [m].
+
+    Args:
+        points: Points in the world frame [m].
+        T_world_capsule: Pose of the capsule.
+        ends: Ends of the segment [m].
+    """
+    offset = transform_points(invert(T_world_capsule), points)
+    offset[:, 2] -= np.clip(offset[:, 2], *ends)
+    return offset
 
 
 def _near(

@@ -301,16 +301,15 @@ def read_volume(
     """
     if path.is_dir():
         volume = read_dicom(path, series=series, progress=progress)
-        require_extent(volume)
-        return upright(volume)
-    if not path.exists():
+    elif not path.exists():
         raise InputError(f"No scan at {path}. Give a DICOM folder or a NIfTI file.")
-    if not path.name.lower().endswith(FILE_TYPES):
+    elif not path.name.lower().endswith(FILE_TYPES):
         raise InputError(
             f"Unknown type of scan {path.name!r}. Allowed: a folder of DICOM slices, or a file "
             f"that ends in {', '.join(FILE_TYPES)}."
         )
-    volume = _read_file(path, is_label_map=is_label_map)
+    else:
+        volume = _read_file(path, is_label_map=is_label_map)
     require_extent(volume)
     return upright(volume)
 

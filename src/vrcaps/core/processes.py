@@ -1,4 +1,4 @@
-"""Worker processes that end with their parent, locks that end with their process, progress."""
+"""Worker processes that end with their parent, locks that end with their process, prefetching."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from itertools import islice
 from multiprocessing.connection import wait
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from vrcaps.core.errors import InputError, StorageError
 
@@ -32,6 +34,30 @@ ProgressReport = Callable[[int, int], None]
 
 def no_report(done: int, total: int) -> None:
     """Ignore progress; the default of functions that report it."""
+
+
+_Item = TypeVar("_Item")
+
+
+def prefetch(items: Iterable[_Item]) -> Generator[_Item, None, None]:
+    """Iterate over items while a thread computes the next one.
+
+    The order and the errors are those of `items`. Closing the iterator waits for the item that is
+    being computed.
+
+    Args:
+        items: Items that another thread may compute.
+    """
+    remaining = iter(items)
+
+    def following() -> list[_Item]:
+        return list(islice(remaining, 1))
+
+    with ThreadPoolExecutor(1, thread_name_prefix="vrcaps-prefetch") as thread:
+        pending = thread.submit(following)
+        while computed := pending.result():
+            pending = thread.submit(following)
+            yield computed[0]
 
 
 class _EndsWithParent:

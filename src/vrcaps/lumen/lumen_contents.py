@@ -86,16 +86,18 @@ class LumenContents:
     def on_wall(
         self,
         anchors: tuple[Int[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]],
-        displacement: Float[np.ndarray, "v 3"],
+        vertices: Float[np.ndarray, "v 3"],
+        at_rest: Float[np.ndarray, "v 3"],
     ) -> LumenContents:
         """Move the spheres with the wall that they cling to.
 
         Args:
             anchors: Result of `wall_anchors`.
-            displacement: Displacement of each vertex of the wall from its position at rest [m].
+            vertices: Vertices of the wall [m].
+            at_rest: Vertices of the wall at rest, in the same frame [m].
         """
         corners, weights = anchors
-        moved = np.einsum("nk,nki->ni", weights, displacement[corners])
+        moved = np.einsum("nk,nki->ni", weights, vertices[corners] - at_rest[corners])
         return replace(self, spheres=self.spheres.at(self.spheres.centers + moved))
 
     def around_capsule(

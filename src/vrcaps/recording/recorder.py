@@ -5,7 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.util import find_spec
@@ -17,7 +18,7 @@ import numpy as np
 from vrcaps.camera_pipeline.capsule_cameras import CAPTURED, CapsuleCameras
 from vrcaps.core.errors import StorageError
 from vrcaps.core.files import remove_stale, sync_folder, write_bytes, write_json
-from vrcaps.core.processes import ProgressReport, no_report
+from vrcaps.core.processes import ProgressReport, no_report, prefetch
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.frame_files import (
     Background,
@@ -58,7 +59,8 @@ from vrcaps.scenario.scenario import Scenario
 from vrcaps.world.model import MovingWall
 
 if TYPE_CHECKING:
-    from vrcaps.motion.motion import Motion
+    from vrcaps.magnet.sources import Source
+    from vrcaps.motion.motion import Motion, MotionState, Step
     from vrcaps.organ.surface import OrganSurface
     from vrcaps.recording.table import FrameTable
     from vrcaps.render.channels import Frame
@@ -197,6 +199,23 @@ class _Timer:
         return True
 
 
+@dataclass(frozen=True)
+class _Moment:
+    """A step of the motion with everything that the motion reports on it."""
+
+    step: Step
+    columns: Mapping[str, float | str]
+    sources: Sequence[Source]
+    checkpoint: MotionState | None
+
+
+def _moments(run: _Recording, resume: MotionState | None) -> Iterator[_Moment]:
+    """Iterate over the motion, from its first frame or a checkpoint."""
+    motion, is_due = run.motion, _Timer(_CHECKPOINT_SECONDS)
+    for step in motion.steps(resume, progress=run.simulated, is_due=is_due):
+        yield _Moment(step, motion.columns(step), motion.sources(step), motion.checkpoint())
+
+
 def _write_frames(out: Path, run: _Recording, organ: Background) -> None:
     """Write missing images, table and preview; render and encode in parallel."""
     total = run.scenario.frames
@@ -229,28 +248,37 @@ def _write_steps(
     readings = SensorReadings(run.model, run.resolved, table)
     for frame in range(len(rows)):
         writer.submit(frame, partial(_preview_from_files, preview, episode, frame))
-    resume, is_due = None if start is None else start.motion, _Timer(_CHECKPOINT_SECONDS)
-    for step in run.motion.steps(resume, progress=run.simulated, is_due=is_due):
-        measured = readings.read(step, run.motion.sources(step))
-        rows.add(step, {**run.motion.columns(step), **cameras.expose(step), **measured})
-        if run.is_there(step.index):
-            writer.submit(step.index, partial(_preview_from_files, preview, episode, step.index))
-            continue
-        images, wall = cameras.capture(step), None
-        if run.scenario.wall:
-            wall = stored_wall(run.model, step.state, run.wall_vertices)
-        state, then = run.motion.checkpoint(), None
-        if state is not None:
-            then = partial(write_checkpoint, run.out, Checkpoint(state, rows.table()))
-        writer.submit(
-            step.index,
-            partial(_preview_from_images, preview, images),
-            files=partial(_write_images, run, step.index, images, wall),
-            then=then,
-        )
-        organ.start()
+    moments = _moments(run, None if start is None else start.motion)
+    with closing(prefetch(moments)) as prefetched:
+        for moment in prefetched:
+            step = moment.step
+            measured = readings.read(step, moment.sources)
+            rows.add(step, {**moment.columns, **cameras.expose(step), **measured})
+            if run.is_there(step.index):
+                show = partial(_preview_from_files, preview, episode, step.index)
+                writer.submit(step.index, show)
+                continue
+            images, wall = cameras.capture(step), None
+            if run.scenario.wall:
+                wall = stored_wall(run.model, step.state, run.wall_vertices)
+            writer.submit(
+                step.index,
+                partial(_preview_from_images, preview, images),
+                files=partial(_write_images, run, step.index, images, wall),
+                then=_checkpointed(run, moment.checkpoint, rows),
+            )
+            organ.start()
     if not (run.out / FRAMES_PARQUET).exists():
         write_table(run.out / FRAMES_PARQUET, rows.table())
+
+
+def _checkpointed(
+    run: _Recording, state: MotionState | None, rows: TableRows
+) -> Callable[[], None] | None:
+    """Function that writes a checkpoint with the rows so far; None without a state."""
+    if state is None:
+        return None
+    return partial(write_checkpoint, run.out, Checkpoint(state, rows.table()))
 
 
 def _cameras(run: _Recording, wall: MovingWall, before: FrameTable | None) -> CapsuleCameras:

@@ -215,7 +215,7 @@ class Model:
         if rest is None:
             return None
         if state.vertices_world is not None and len(rest.spheres):
-            rest = rest.on_wall(self._anchors, state.vertices_world - self.vertices_world)
+            rest = rest.on_wall(self._anchors, state.vertices_world, self.vertices_world)
         size = self.device.length, self.device.radius
         rest = rest.on_dome(self.arc_length_at(state.T_world_capsule), *size)
         return rest.around_capsule(state.T_world_capsule, *size)

@@ -24,7 +24,7 @@ from vrcaps.render.settings import RenderSettings
 
 CAMERA = make_camera("equidistant", image_circle_px=38.0, exposure=4.0)
 NOW = looking((0.002, 0.001, 0.05), (0.1, 0.05, 1.0))
-CHAIN = ImageChain(variation=UnitVariation(0.1, 0.05, 0.2, 0.1, 0.2, 0.03, 0.2))
+CHAIN = ImageChain(variation=UnitVariation(0.1, 0.05, 0.2, 0.1, 0.2, 0.03, 0.2, 0.25))
 
 
 def test_nominal_unit_has_the_values_of_its_model() -> None:
@@ -52,7 +52,14 @@ def test_effects_that_change_nothing_are_left_out() -> None:
 def test_units_differ_by_seed_and_are_reproducible() -> None:
     units = [unit_effects(CHAIN, seed) for seed in range(4)]
     assert units[0] == unit_effects(CHAIN, 0)
-    for name in ("white_balance", "color_matrix", "vignetting", "depth_of_field", "led_balance"):
+    for name in (
+        "white_balance",
+        "color_matrix",
+        "vignetting",
+        "depth_of_field",
+        "denoising",
+        "led_balance",
+    ):
         assert len({str(unit[name]) for unit in units}) == 4, name
     assert len({unit["sensor_noise"].sensor_seed for unit in units}) == 4  # type: ignore[attr-defined]
     assert len({unit["jpeg"] for unit in units}) == 1
@@ -70,6 +77,10 @@ def test_variation_has_its_standard_deviation_and_keeps_gray() -> None:
     focus = np.log([unit["depth_of_field"].focus_distance for unit in units])  # type: ignore[attr-defined]
     assert focus.std() == pytest.approx(0.1, rel=0.1)
     assert abs(np.corrcoef(red, focus)[0, 1]) < 0.15
+    luma = np.array([unit["denoising"].luma for unit in units])  # type: ignore[attr-defined]
+    chroma = np.array([unit["denoising"].chroma for unit in units])  # type: ignore[attr-defined]
+    assert np.log(luma).std() == pytest.approx(0.25, rel=0.1)
+    assert chroma / luma == pytest.approx(CHAIN.chroma_denoising_px / CHAIN.luma_denoising_px, 1e-3)
 
 
 def test_units_differ_in_their_target_of_exposure() -> None:
@@ -117,7 +128,7 @@ def test_a_file_keeps_a_chain_without_compression_and_variation(tmp_path) -> Non
 
 def test_every_allowed_chain_gives_units() -> None:
     """Values at the limits of a chain, with the largest variation, are within those of effects."""
-    largest = UnitVariation(*[0.5] * 7)
+    largest = UnitVariation(*[0.5] * 8)
     rows = ((4.0, 4.0, 4.0), (-4.0, -4.0, -4.0), (0.0, 0.0, 0.0))
     for gain in (0.01, 10.0):
         gains = (gain, gain, gain)

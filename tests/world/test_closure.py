@@ -26,6 +26,7 @@ from vrcaps.motion.rollout import Rollout
 from vrcaps.organ.surface import CLOSED_RADIUS, POCKETS
 from vrcaps.render.renderer import DEFAULT_CHANNELS as CHANNELS
 from vrcaps.render.renderer import Renderer
+from vrcaps.world.closed_course import closed_course
 from vrcaps.world.lumen_closure import LumenClosure, along_slit, closure_of
 from vrcaps.world.model import Model, State, posture_transform
 from vrcaps.world.wall_displacement import ShownWall, WallDisplacement
@@ -327,3 +328,21 @@ def test_a_simulation_shows_the_closed_lumen():
     local = transform_points(invert(at), vertices)
     local[:, 2] -= np.clip(local[:, 2], -half, half)
     assert np.linalg.norm(local, axis=1).min() >= 0.999 * model.device.radius
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_creases_end_and_the_height_of_folds_varies(seed):
+    """Zeros of a field of waves do not end, but the depth of its creases falls to zero."""
+    organ = replace(straight().organ, metadata={"seed": seed})
+    count = len(organ.vertices)
+    plane, width = np.tile(np.eye(3)[:, :2], (count, 1, 1)), np.full(count, 4.0 * RADIUS)
+    sections = np.zeros((count, 3)), plane, width
+    course = closed_course(organ, sections, CLOSED, 0.0)
+    whole = course.folds.max() - course.folds.min()
+    assert whole == pytest.approx(1.0, abs=0.02)
+    around = [course.folds[course.s == s] for s in np.unique(course.s)]
+    depths = np.array([course.folds.max() - row.min() for row in around])
+    assert depths.min() < 0.5 * whole
+    assert np.mean(depths > 0.9 * whole) > 0.2
+    assert abs(course.folds.mean()) < 1e-9
+    assert course.top.max() > 2.0 * course.top.min()

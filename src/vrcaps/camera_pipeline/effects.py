@@ -37,6 +37,7 @@ from vrcaps.camera_pipeline.effect.optics import (
 )
 from vrcaps.camera_pipeline.effect.processing import (
     MAX_ELEMENT,
+    MAX_FILTER_WIDTH,
     ColorMatrix,
     Denoising,
     Jpeg,
@@ -335,6 +336,7 @@ def unit_effects(chain: ImageChain, seed: int | None) -> dict[str, Effect]:
     sensor = 0 if seed is None else sensor
     red, blue, shading, focus = (truncated_normal(rng) for _ in range(4))
     matrix = np.array([[truncated_normal(rng) for _ in range(3)] for _ in range(3)])
+    smoothing = math.exp(variation.denoising * truncated_normal(rng))
     balance = variation.white_balance * np.array([red, 0.0, blue])
     coefficients = (1.0 + variation.lens_shading * shading) * np.array(chain.lens_shading)
     sharpening = Sharpening(chain.sharpening, chain.sharpening_radius_px)
@@ -349,11 +351,18 @@ def unit_effects(chain: ImageChain, seed: int | None) -> dict[str, Effect]:
         WhiteBalance(_triple(np.array(chain.white_balance) * np.exp(balance)), chain.response),
         _color_matrix(np.array(chain.color_matrix), variation.color_matrix * matrix),
         ToneCurve(chain.contrast) if chain.contrast != 1.0 else None,
-        Denoising(chain.luma_denoising_px, chain.chroma_denoising_px),
+        _denoising(chain, smoothing),
         sharpening if chain.sharpening else None,
         Jpeg(chain.jpeg_quality) if chain.jpeg_quality else None,
     ]
     return {effect.name: effect for effect in effects if effect is not None}
+
+
+def _denoising(chain: ImageChain, factor: float) -> Denoising:
+    """Denoising with the chain's filters wider by a factor, limited to those of `Denoising`."""
+    widths = chain.luma_denoising_px, chain.chroma_denoising_px
+    luma, chroma = (round(min(factor * width, MAX_FILTER_WIDTH), 4) for width in widths)
+    return Denoising(luma, chroma)
 
 
 def _color_matrix(nominal: np.ndarray, errors: np.ndarray) -> ColorMatrix | None:

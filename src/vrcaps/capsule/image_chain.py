@@ -34,6 +34,8 @@ class UnitVariation:
         exposure: Of the natural logarithm of the automatic exposure's target. Mean luminances of
             461 images of WCEBleedGen have 0.39; half of that variance is attributed to units, half
             to the `exposure_tolerance` of each frame.
+        denoising: Of the natural logarithm of the widths of the low-pass filters, with the same
+            deviation for both, as processors are set to smooth images more or less.
     """
 
     white_balance: _Spread = 0.08
@@ -43,12 +45,13 @@ class UnitVariation:
     led: _Spread = 0.15
     led_color: _Spread = 0.015
     exposure: _Spread = 0.25
+    denoising: _Spread = 0.3
 
     def __post_init__(self) -> None:
         check_fields(self, of="UnitVariation")
 
 
-EQUAL_UNITS = UnitVariation(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+EQUAL_UNITS = UnitVariation(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """Units without differences."""
 
 
@@ -107,8 +110,8 @@ class ImageChain:
     response: Triple = (0.6, 1.0, 0.7)
     color_matrix: tuple[Triple, Triple, Triple] = _IDENTITY
     contrast: Annotated[float, Range(min=0.25, max=4.0)] = 1.35
-    luma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 0.7
-    chroma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 1.1
+    luma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 0.64
+    chroma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 1.0
     sharpening: Annotated[float, Range(min=0.0, max=10.0)] = 2.0
     sharpening_radius_px: Annotated[float, Range(min=0.3, max=10.0, unit="px")] = 2.0
     jpeg_quality: Annotated[int, Range(min=0, max=100)] = 75

@@ -53,9 +53,10 @@ class Bubbles:
         meniscus: Radius up to which bubbles lie wholly in liquid [m]. Larger ones, of radius R,
             emerge; rim, refraction and shade fade by ``√(meniscus/R)``. Bubbles above a fifth of it
             lie lower on the wall.
-        shade: Fraction of its light that the wall below a bubble in liquid loses. The bubble is a
-            diverging lens of focal length 1.5 R: 0.59 on its axis, 0.85 R below its center, if
-            tissue does not spread the light.
+        shade: Fraction of its light that the wall below a bubble in liquid loses next to the rim;
+            in the middle it loses two fifths of that. The bubble is a diverging lens of focal
+            length 1.5 R: 0.59 on its axis, 0.85 R below its center, if tissue does not spread
+            the light.
         ripple: RMS slope of its deviations from a sphere, which displace and distort the images
             of the LEDs. Width and brightness of the rim vary around a bubble anyway.
         roughness: Roughness α of the film in the specular reflection of an LED.

@@ -25,7 +25,7 @@ SOFT = 2.2 * MM
 """Radius below which folds that meet are compressed [m]."""
 FOLD_SHARE, _FOLD_HEIGHT = 0.4, 2.6 * MM
 """Height of the folds relative to √(R² − r²), and its maximum [m]."""
-_CREASE_DEPTH = 0.6
+_CREASE_DEPTH = 0.85
 """Depth of creases below the mean wall, relative to the height of the folds."""
 _SWAY, _PITCHES = 8.0 * MM, (13 * MM, 18 * MM)
 """Amplitude and wavelengths / 2π of the course of the closed lumen about the centerline [m]."""
@@ -41,6 +41,12 @@ _FOLD_WAVES = 32
 """Number of waves of each of the two parts of the field whose zeros are the creases."""
 _FOLD_PITCHES, _MAX_LOBES = (1.4 * MM, 2.8 * MM), (2, 4)
 """Wavelengths / 2π of these waves along the gut [m], and maximum numbers of waves around it."""
+_DEPTH_PITCHES, _DEPTH_LOBES = (3.0 * MM, 7.0 * MM), (0, 3)
+"""The same of the waves of the field by which the depth of creases differs."""
+_DEPTHS = (-0.8, 0.8)
+"""Values of that field, in standard deviations, between which creases deepen from none to full."""
+_HEIGHT_PITCHES, _HEIGHT_SPREAD = (19 * MM, 31 * MM), 0.7
+"""Wavelengths / 2π of the height of folds along the gut [m], and the amplitude of its logarithm."""
 _POCKET_PITCHES = (17 * MM, 27 * MM, 41 * MM)
 """Wavelengths / 2π of the field whose crests are pockets of gas, a few centimeters long [m]."""
 _POCKET_EDGE = 0.9
@@ -110,7 +116,9 @@ def closed_course(
     tone *= np.sin(s / _TONE_PITCHES[1] + 1.0)
     narrow = radius * np.exp(-0.9 * tone)
     slit = min(_SLIT, 2.0 * radius) * np.exp(-0.4 * tone)
-    top = np.minimum(FOLD_SHARE * mean, _FOLD_HEIGHT)
+    phases = _rng(organ, "fold-height").uniform(0.0, 2.0 * np.pi, 2)
+    height = _HEIGHT_SPREAD * np.sin(s[:, None] / np.array(_HEIGHT_PITCHES) + phases).prod(axis=1)
+    top = np.minimum(FOLD_SHARE * mean, _FOLD_HEIGHT * np.exp(height))
     # A quarter of the softness bounds what the smooth maximum adds to radii above 2 mm.
     reach = narrow + 0.5 * slit + _CREASE_DEPTH * top + 0.25 * SOFT
     fit = np.minimum(mean / reach, 1.0)
@@ -129,18 +137,28 @@ def closed_course(
 
 
 def _folds(organ: OrganSurface) -> Float[np.ndarray, " n"]:
-    """Relief of the buckled wall at each vertex: rounded folds between creases, mean 0."""
-    rng, waves = _rng(organ, "folds"), []
-    low, high = np.log(_FOLD_PITCHES)
-    for lobes, least in zip(_MAX_LOBES, (0, 2), strict=True):
-        lobe = rng.integers(least, lobes + 1, _FOLD_WAVES) * rng.choice([-1, 1], _FOLD_WAVES)
-        turns = np.exp(-rng.uniform(low, high, _FOLD_WAVES))
-        phase = rng.uniform(0.0, 2.0 * np.pi, _FOLD_WAVES)
-        amplitude = np.full(_FOLD_WAVES, _FOLD_WAVES**-0.5)
-        waves.append(np.stack([amplitude, turns, lobe, phase], axis=1))
-    field = sum_waves(np.concatenate(waves), organ.arc_length, organ.theta)
-    relief = fold_profile(field)
+    """Relief of the buckled wall at each vertex: rounded folds between creases, mean 0.
+
+    Creases end where their depth falls to zero.
+    """
+    rng = _rng(organ, "folds")
+    parts = [_waves(rng, _FOLD_PITCHES, ends) for ends in ((0, _MAX_LOBES[0]), (2, _MAX_LOBES[1]))]
+    field = sum_waves(np.concatenate(parts), organ.arc_length, organ.theta)
+    waves = _waves(_rng(organ, "crease-depth"), _DEPTH_PITCHES, _DEPTH_LOBES)
+    level = sum_waves(waves, organ.arc_length, organ.theta) * 2.0**0.5
+    depth = smoothstep((level - _DEPTHS[0]) / (_DEPTHS[1] - _DEPTHS[0]))
+    relief = 1.0 - depth * (1.0 - fold_profile(field))
     return relief - relief.mean()
+
+
+def _waves(
+    rng: np.random.Generator, pitches: tuple[float, float], lobes: tuple[int, int]
+) -> Float[np.ndarray, "n 4"]:
+    """Waves of half the variance of a field of unit standard deviation, see `sum_waves`."""
+    lobe = rng.integers(lobes[0], lobes[1] + 1, _FOLD_WAVES) * rng.choice([-1, 1], _FOLD_WAVES)
+    turns = np.exp(-rng.uniform(*np.log(pitches), _FOLD_WAVES))
+    phase = rng.uniform(0.0, 2.0 * np.pi, _FOLD_WAVES)
+    return np.stack([np.full(_FOLD_WAVES, _FOLD_WAVES**-0.5), turns, lobe, phase], axis=1)
 
 
 def _openness(organ: OrganSurface, pockets: float) -> Float[np.ndarray, " n"]:

@@ -52,9 +52,9 @@ impl Rim {
         let place = min(edge * self.per_width, 1.0);
         let ridge = 4.0 * place * (1.0 - place);
         let profile = (0.3 + 0.7 * ridge * ridge) * (0.75 + 0.25 * waves[1]);
-        let (outline, near) = (bump(2.5 * edge * self.narrow), bump(0.8 * inside * self.narrow));
+        let (outline, near) = (bump(2.5 * edge * self.narrow), bump(1.1 * inside * self.narrow));
         let mottle = 0.3 * waves[0] * waves[1] * near;
-        let shade = self.shade * (inner * (0.7 + 0.5 * near + mottle) + outline);
+        let shade = self.shade * (inner * (0.4 + 0.8 * near + mottle) + outline);
         (self.gleam * profile * (1.0 - inner), 1.0 - min(shade, 1.0))
     }
 }

@@ -21,6 +21,8 @@ Matrix = tuple[Triple, Triple, Triple]
 
 MAX_ELEMENT = 4.0
 """Maximum absolute value of an element of a color matrix."""
+MAX_FILTER_WIDTH = 10.0
+"""Maximum standard deviation of a filter of `Denoising` [px]."""
 
 
 @dataclass(frozen=True)
@@ -137,8 +139,8 @@ class Denoising(ImageEffect):
         chroma: Standard deviation for chroma [px]; 0 for none.
     """
 
-    luma: Annotated[float, Range(min=0.0, max=10.0, unit="px")]
-    chroma: Annotated[float, Range(min=0.0, max=10.0, unit="px")]
+    luma: Annotated[float, Range(min=0.0, max=MAX_FILTER_WIDTH, unit="px")]
+    chroma: Annotated[float, Range(min=0.0, max=MAX_FILTER_WIDTH, unit="px")]
 
     name = "denoising"
     severities = (

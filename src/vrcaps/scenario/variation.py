@@ -56,7 +56,7 @@ class Prevalence:
     film: float = 0.0
 
 
-STAIN = (2.8, 4.6, 30.0)
+STAIN = (2.0, 3.3, 22.0)
 """Median absorption of clear fluid in the small bowel for red, green and blue [1/m]: chosen so that
 blue falls from bright to dark parts of a frame as in real frames."""
 
@@ -209,7 +209,7 @@ def _medium(of: Prevalence, rng: np.random.Generator) -> Medium | int:
     turbidity = math.exp(float(rng.normal(0.0, 0.3)))
     bile = math.exp(float(rng.normal(0.0, 0.4)))
     flocs = float(rng.uniform(0.0, 500.0))
-    stain = of.stain * math.exp(float(rng.normal(0.0, 0.7)))
+    stain = of.stain * math.exp(float(rng.normal(0.0, 0.6)))
     if prevalence == stain == 0.0:
         return 0
     return Medium(

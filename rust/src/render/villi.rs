@@ -17,7 +17,7 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
 /// Difference of distances along adjacent rays at an outline [m].
-const STEP: f32 = 2.5e-3;
+const STEP: f32 = 1.0e-3;
 /// Maximum angle over which a villus is drawn [rad]; those next to the dome are out of focus.
 const WIDEST: f32 = 0.11;
 /// Distance from the outline to the wall whose radiance villi take [px].
@@ -33,8 +33,12 @@ const PRESSED: f32 = 0.4;
 /// Ratio of the sides of a pixel on that shape of the wall up to which gaps are invisible, and from
 /// which they are drawn fully: where a wall is gathered or pulled, gaps would be streaks.
 const ROUND: [f32; 2] = [0.25, 0.5];
-/// Pixels across villi up to which a fringe is a soft band, and from which its villi stand out.
-const FRINGE: [f32; 2] = [3.0, 7.0];
+/// Pixels along villi up to which a fringe is a soft band, and from which its villi stand out.
+const FRINGE: [f32; 2] = [1.5, 3.5];
+/// Minimum width of what stands out [px]: narrower villi stick together in tufts.
+const TUFT: f32 = 3.5;
+/// Widths of tufts relative to those of villi.
+const TUFTS: [f32; 3] = [1.0, 2.0, 4.0];
 /// Spacing of the lattice of strokes [spacings of villi].
 const STROKES: f32 = 1.2;
 /// Part of the gaps that surrounds each villus; the rest are strokes.
@@ -50,7 +54,7 @@ const FACING: f32 = 0.45;
 const GAP_COLOR: [f32; 3] = [0.7, 1.0, 1.1];
 /// Relative length in the gaps between villi, and difference of the distances to the nearest two
 /// centers at which a villus has its full length [cells].
-const GROUND: f32 = 0.55;
+const GROUND: f32 = 0.45;
 const SHOULDER: f32 = 0.55;
 /// Relative standard deviation of the lengths.
 const SPREAD: f32 = 0.25 / DEVIATION;
@@ -216,7 +220,7 @@ impl<'a> Seen<'a> {
         spacing: f32,
         focal: f32,
     ) {
-        let (columns, width) = (self.size.1, spacing / LEAF.sqrt());
+        let (columns, width) = (self.size.1, width(spacing));
         let strokes = Strokes::new(Lattice::new(SEEDS[2], STROKES * spacing));
         let cells = Cells::new(SEEDS[0], spacing);
         let mut lines: Vec<_> = planes.axis_iter_mut(Axis(1)).collect();
@@ -280,8 +284,8 @@ impl<'a> Seen<'a> {
 
     /// Villi of the pixels of outlines.
     fn grow(&self, pixels: &[usize], places: &[Vec3], spacing: f32, focal: f32) -> Vec<Outline> {
-        let (cells, lengths) =
-            (Cells::new(SEEDS[0], spacing), Lattice::new(SEEDS[1], 1.5 * spacing));
+        let tufts = TUFTS.map(|size| Cells::new(SEEDS[0], size * spacing));
+        let lengths = Lattice::new(SEEDS[1], 1.5 * spacing);
         let mut outlines = Vec::with_capacity(pixels.len());
         for pixels in pixels.chunks(LANES) {
             let mut lanes = [[0.0; LANES]; 3];
@@ -290,16 +294,19 @@ impl<'a> Seen<'a> {
                     lanes[k][i] = places[pixel][k];
                 }
             }
-            let borders = cells.borders(&leaf_space(&lanes, LEAF));
+            let space = leaf_space(&lanes, LEAF);
+            let borders = tufts.each_ref().map(|cells| cells.borders(&space));
             for (i, &pixel) in pixels.iter().enumerate() {
                 let place = places[pixel];
-                let middle = min(borders[i] / SHOULDER, 1.0).sqrt();
+                let per_length = focal / self.distance[pixel];
+                let ((below, above), share) = tuft_level(width(spacing) * per_length);
+                let middle = [below, above].map(|k| min(borders[k][i] / SHOULDER, 1.0).sqrt());
+                let middle = middle[0] + share * (middle[1] - middle[0]);
                 let varied = clamp(1.0 + SPREAD * lengths.gradient(place), 0.3, TALLEST);
                 let profile = GROUND + (1.0 - GROUND) * middle;
-                let mean = min(self.length[pixel] / self.distance[pixel], WIDEST / TALLEST) * focal;
+                let mean = min(self.length[pixel] * per_length, WIDEST / TALLEST * focal);
                 let (length, longest) = (mean * varied * profile, mean * TALLEST);
-                let pixels = spacing / LEAF.sqrt() * focal / self.distance[pixel];
-                let sharp = smoothstep(FRINGE[0], FRINGE[1], pixels);
+                let sharp = smoothstep(FRINGE[0], FRINGE[1], mean);
                 outlines.push(Outline { pixel, length, longest, middle, sharp });
             }
         }
@@ -316,7 +323,7 @@ impl<'a> Seen<'a> {
         for (pixel, outline, apart) in self.nearest(outlines) {
             let Outline { pixel: base, length, longest, middle, sharp } = outlines[outline];
             let mix = |mean: f32, single: f32| mean + sharp * (single - mean);
-            let mean = clamp(1.0 - apart / max(longest, 1e-6), 0.0, 1.0);
+            let mean = clamp(1.0 - apart / longest, 0.0, 1.0);
             let covered = mix(mean, clamp(length - apart + 0.5, 0.0, 1.0));
             if covered <= 0.0 {
                 continue;
@@ -373,4 +380,17 @@ impl<'a> Seen<'a> {
         let is_same = (self.distance[inside] - self.distance[base]).abs() < 1.5 * STEP;
         if is_same { inside } else { base }
     }
+}
+
+/// Width of a villus, a leaf `LEAF` times as long as wide, given the root of the area per villus [m].
+fn width(spacing: f32) -> f32 {
+    spacing / LEAF.sqrt()
+}
+
+/// Tufts next to the size at which they stand out, given the pixels across a villus: indices of the
+/// smaller and the larger in `TUFTS`, and the weight of the larger.
+fn tuft_level(pixels: f32) -> ((usize, usize), f32) {
+    let level = clamp((TUFT / pixels).log2(), 0.0, TUFTS.len() as f32 - 1.0);
+    let below = (level as usize).min(TUFTS.len() - 2);
+    ((below, below + 1), level - below as f32)
 }

@@ -419,7 +419,7 @@ def raise_villi(
     seen: tuple[NDArray[Any], ...],
     wall: tuple[NDArray[np.float64], NDArray[np.int64]],
     by_label: Sequence[Sequence[float]],
-    spacing: float,
+    tissue: tuple[float, Sequence[float]],
     focal: float,
 ) -> None: ...
 def intersecting_triangles(

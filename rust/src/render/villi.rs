@@ -10,6 +10,7 @@
 use crate::mucosa::noise::{Cells, DEVIATION, Lattice, Vec3, exp, smoothstep};
 use crate::mucosa::strokes::{LEAF, Strokes, leaf_space};
 use crate::pool::on_pool;
+use crate::render::diffusion::Points;
 use crate::simd::f32x64::{LANES, clamp, dot, max, min, sub};
 use numpy::ndarray::{ArrayView2, ArrayViewMut3, Axis};
 use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3, PyUntypedArrayMethods};
@@ -35,8 +36,10 @@ const PRESSED: f32 = 0.4;
 const ROUND: [f32; 2] = [0.25, 0.5];
 /// Pixels along villi up to which a fringe is a soft band, and from which its villi stand out.
 const FRINGE: [f32; 2] = [1.5, 3.5];
+/// Length over which the tip of a villus ends [px].
+const TIP: f32 = 2.0;
 /// Minimum width of what stands out [px]: narrower villi stick together in tufts.
-const TUFT: f32 = 3.5;
+const TUFT: f32 = 5.0;
 /// Widths of tufts relative to those of villi.
 const TUFTS: [f32; 3] = [1.0, 2.0, 4.0];
 /// Spacing of the lattice of strokes [spacings of villi].
@@ -51,10 +54,10 @@ const MEAN_GAP: f32 = 0.59;
 /// the camera and light the ground of the former, by assumption.
 const FACING: f32 = 0.45;
 /// Optical density of a gap in red, green and blue relative to green.
-const GAP_COLOR: [f32; 3] = [0.7, 1.0, 1.1];
+const GAP_COLOR: [f32; 3] = [0.45, 1.0, 1.1];
 /// Relative length in the gaps between villi, and difference of the distances to the nearest two
 /// centers at which a villus has its full length [cells].
-const GROUND: f32 = 0.45;
+const GROUND: f32 = 0.5;
 const SHOULDER: f32 = 0.55;
 /// Relative standard deviation of the lengths.
 const SPREAD: f32 = 0.25 / DEVIATION;
@@ -105,7 +108,8 @@ struct Outline {
 ///
 /// `by_label` [2 256] are the lengths of villi [m] and the densities of the gaps between them;
 /// `wall` are vertices [n 3] and faces [m 3] of the wall at the width at which villi have their
-/// shape; `spacing` is the root of the area per villus [m], `focal` the pixels per radian.
+/// shape; `tissue` are the root of the area per villus [m], and the standard deviations along an axis
+/// of the diffusion of red, green and blue light [m]; `focal` are the pixels per radian.
 ///
 /// # Errors
 /// If arrays differ in size, or a face or vertex does not exist.
@@ -116,10 +120,10 @@ pub fn raise_villi(
     seen: GivenSeen<'_>,
     wall: (PyReadonlyArray2<'_, f64>, PyReadonlyArray2<'_, i64>),
     by_label: [[f32; 256]; 2],
-    spacing: f32,
+    tissue: (f32, [f32; 3]),
     focal: f32,
 ) -> PyResult<()> {
-    let seen = Seen::of(&seen, &by_label)?;
+    let (seen, (spacing, diffusion)) = (Seen::of(&seen, &by_label)?, tissue);
     if planes.shape() != [3, seen.size.0, seen.size.1] {
         return Err(PyValueError::new_err("Planes must be of the channels' size (3, h, w)."));
     }
@@ -130,6 +134,7 @@ pub fn raise_villi(
         (planes.as_array_mut(), wall.0.as_array(), wall.1.as_array());
     on_pool(py, || {
         let places = seen.places(vertices, faces)?;
+        seen.diffuse(&mut image, diffusion, focal);
         seen.shade(&places, &mut image, spacing, focal);
         let outlines = seen.grow(&seen.outlines(), &places, spacing, focal);
         seen.paint(&outlines, &mut image);
@@ -210,6 +215,16 @@ impl<'a> Seen<'a> {
         self.length[pixel] + self.gaps[pixel] > 0.0
             && self.face[pixel] >= 0
             && self.hidden[pixel] == 0
+    }
+
+    /// Diffuses light in the tissue below villi.
+    fn diffuse(&self, planes: &mut ArrayViewMut3<'_, f32>, deviations: [f32; 3], focal: f32) {
+        if deviations == [0.0; 3] {
+            return;
+        }
+        let own = |(pixel, &distance)| if self.has_villi(pixel) { distance } else { f32::NAN };
+        let distance: Vec<f32> = self.distance.iter().enumerate().map(own).collect();
+        Points { size: self.size, distance: &distance, focal }.diffuse(planes, deviations);
     }
 
     /// Darkens the gaps between villi that are seen from above.
@@ -324,7 +339,7 @@ impl<'a> Seen<'a> {
             let Outline { pixel: base, length, longest, middle, sharp } = outlines[outline];
             let mix = |mean: f32, single: f32| mean + sharp * (single - mean);
             let mean = clamp(1.0 - apart / longest, 0.0, 1.0);
-            let covered = mix(mean, clamp(length - apart + 0.5, 0.0, 1.0));
+            let covered = mix(mean, clamp((length - apart) / TIP + 0.5, 0.0, 1.0));
             if covered <= 0.0 {
                 continue;
             }

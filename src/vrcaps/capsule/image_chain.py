@@ -112,7 +112,7 @@ class ImageChain:
     contrast: Annotated[float, Range(min=0.25, max=4.0)] = 1.35
     luma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 0.64
     chroma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 1.0
-    sharpening: Annotated[float, Range(min=0.0, max=10.0)] = 2.0
+    sharpening: Annotated[float, Range(min=0.0, max=10.0)] = 2.3
     sharpening_radius_px: Annotated[float, Range(min=0.3, max=10.0, unit="px")] = 2.0
     jpeg_quality: Annotated[int, Range(min=0, max=100)] = 75
     exposure_tolerance: Annotated[float, Range(min=0.0, max=1.0)] = 0.3

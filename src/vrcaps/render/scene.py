@@ -97,7 +97,7 @@ blue light: a fifth, chosen by eye, of the diffusion length 1/√(3 µa (µa + �
 `reduced_scattering` at 600, 545 and 470 nm, µa gives the mean colors 0.33, 0.18 and 0.12 of its
 mucosa."""
 
-GAP_DENSITY = 2.1
+GAP_DENSITY = 2.35
 """Optical density in green of the gaps between villi relative to their tips; chosen so that the
 texture of recorded frames approaches that of real frames (`vrcaps compare-looks`)."""
 

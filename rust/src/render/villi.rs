@@ -37,7 +37,9 @@ const ROUND: [f32; 2] = [0.25, 0.5];
 /// Pixels along villi up to which a fringe is a soft band, and from which its villi stand out.
 const FRINGE: [f32; 2] = [1.5, 3.5];
 /// Length over which the tip of a villus ends [px].
-const TIP: f32 = 2.0;
+const TIP: f32 = 3.0;
+/// Maximum weight of single villi in a fringe; the rest is its mean over villi of all lengths.
+const SINGLE: f32 = 0.5;
 /// Minimum width of what stands out [px]: narrower villi stick together in tufts.
 const TUFT: f32 = 5.0;
 /// Widths of tufts relative to those of villi.
@@ -321,7 +323,7 @@ impl<'a> Seen<'a> {
                 let profile = GROUND + (1.0 - GROUND) * middle;
                 let mean = min(self.length[pixel] * per_length, WIDEST / TALLEST * focal);
                 let (length, longest) = (mean * varied * profile, mean * TALLEST);
-                let sharp = smoothstep(FRINGE[0], FRINGE[1], mean);
+                let sharp = SINGLE * smoothstep(FRINGE[0], FRINGE[1], mean);
                 outlines.push(Outline { pixel, length, longest, middle, sharp });
             }
         }

@@ -156,7 +156,8 @@ def _waves(
 ) -> Float[np.ndarray, "n 4"]:
     """Waves of half the variance of a field of unit standard deviation, see `sum_waves`."""
     lobe = rng.integers(lobes[0], lobes[1] + 1, _FOLD_WAVES) * rng.choice([-1, 1], _FOLD_WAVES)
-    turns = np.exp(-rng.uniform(*np.log(pitches), _FOLD_WAVES))
+    low, high = np.log(pitches)
+    turns = np.exp(-rng.uniform(low, high, _FOLD_WAVES))
     phase = rng.uniform(0.0, 2.0 * np.pi, _FOLD_WAVES)
     return np.stack([np.full(_FOLD_WAVES, _FOLD_WAVES**-0.5), turns, lobe, phase], axis=1)
 

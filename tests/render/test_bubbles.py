@@ -178,7 +178,7 @@ def test_a_bubble_in_liquid_has_a_rim_and_shade() -> None:
     apart = np.sqrt(scene.miss(center, radius))
     middle = np.median(ratio[apart < 0.1])
     clear = (1.0 - film(np.ones(1))[0]) ** 2
-    assert middle == pytest.approx(clear * (1.0 - 0.7 * bubbles.shade), rel=0.03)
+    assert middle == pytest.approx(clear * (1.0 - 0.4 * bubbles.shade), rel=0.03)
     rim = np.median(ratio[(apart > 0.83) & (apart < 0.92)])
     inside = np.median(ratio[(apart > 0.6) & (apart < 0.7)])
     assert rim > 1.1 and inside < middle

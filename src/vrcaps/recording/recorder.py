@@ -200,7 +200,7 @@ class _Timer:
 
 
 @dataclass(frozen=True)
-class _Moment:
+class _ReportedStep:
     """A step of the motion with everything that the motion reports on it."""
 
     step: Step
@@ -209,11 +209,11 @@ class _Moment:
     checkpoint: MotionState | None
 
 
-def _moments(run: _Recording, resume: MotionState | None) -> Iterator[_Moment]:
+def _reported_steps(run: _Recording, resume: MotionState | None) -> Iterator[_ReportedStep]:
     """Iterate over the motion, from its first frame or a checkpoint."""
     motion, is_due = run.motion, _Timer(_CHECKPOINT_SECONDS)
     for step in motion.steps(resume, progress=run.simulated, is_due=is_due):
-        yield _Moment(step, motion.columns(step), motion.sources(step), motion.checkpoint())
+        yield _ReportedStep(step, motion.columns(step), motion.sources(step), motion.checkpoint())
 
 
 def _write_frames(out: Path, run: _Recording, organ: Background) -> None:
@@ -248,12 +248,12 @@ def _write_steps(
     readings = SensorReadings(run.model, run.resolved, table)
     for frame in range(len(rows)):
         writer.submit(frame, partial(_preview_from_files, preview, episode, frame))
-    moments = _moments(run, None if start is None else start.motion)
-    with closing(prefetch(moments)) as prefetched:
-        for moment in prefetched:
-            step = moment.step
-            measured = readings.read(step, moment.sources)
-            rows.add(step, {**moment.columns, **cameras.expose(step), **measured})
+    steps = _reported_steps(run, None if start is None else start.motion)
+    with closing(prefetch(steps)) as reported_steps:
+        for reported in reported_steps:
+            step = reported.step
+            measured = readings.read(step, reported.sources)
+            rows.add(step, {**reported.columns, **cameras.expose(step), **measured})
             if run.is_there(step.index):
                 show = partial(_preview_from_files, preview, episode, step.index)
                 writer.submit(step.index, show)
@@ -265,7 +265,7 @@ def _write_steps(
                 step.index,
                 partial(_preview_from_images, preview, images),
                 files=partial(_write_images, run, step.index, images, wall),
-                then=_checkpointed(run, moment.checkpoint, rows),
+                then=_checkpointed(run, reported.checkpoint, rows),
             )
             organ.start()
     if not (run.out / FRAMES_PARQUET).exists():

@@ -14,7 +14,7 @@ from tests.support.tubes import straight_tube
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.units import MM
 from vrcaps.mucosa.bake import MAX_SIDE, bake_appearance
-from vrcaps.mucosa.mucosa import MUCOSAE, Mucosa, own_mucosa
+from vrcaps.mucosa.mucosa import MUCOSAE, Mucosa, MucosaSettings, own_mucosa
 from vrcaps.organ.surface import HEIGHT_STEP, Appearance, Centerline, OrganSurface
 from vrcaps.organ.uv import texture_stretch
 
@@ -441,6 +441,23 @@ def test_the_wall_does_not_repeat():
     correlation[:30, :30] = correlation[-30:, :30] = 0.0
     correlation[:30, -30:] = correlation[-30:, -30:] = 0.0
     assert np.abs(correlation).max() < 0.05
+
+
+def test_the_wet_film_differs_by_patient_unless_it_is_set(tube):
+    def strengths(mucosa: str | Mucosa) -> np.ndarray:
+        baked = (
+            bake_appearance(tube, seed=seed, mucosa=mucosa, texels_per_mm=0.5) for seed in range(40)
+        )
+        return np.array([look.clearcoat for look in baked])
+
+    own = strengths("small-bowel")
+    assert np.log(own).std() == pytest.approx(0.9, rel=0.3)
+    assert np.median(own) == pytest.approx(0.1, rel=0.5)
+    assert own.max() <= 1.0
+    assert (strengths(MucosaSettings(clearcoat=0.3).of("small-bowel")) == 0.3).all()
+    varied = MucosaSettings(clearcoat=0.3, clearcoat_variation=0.2).of("small-bowel")
+    assert np.log(strengths(varied)).std() == pytest.approx(0.2, rel=0.3)
+    assert (strengths("colon") == 0.8).all()
 
 
 def test_errors_say_what_is_wrong(tube):

@@ -19,6 +19,8 @@ from vrcaps.render.settings import RenderSettings
 _SIZE = (400, 120)
 _EDGE = 60
 """Last column of a near wall; the far one begins behind it."""
+_FLAT = _EDGE - 8
+"""Number of its columns that are too far from its edge to be darkened."""
 _NEAR, _FAR = 8e-3, 30e-3
 _FOCAL = 200.0
 _LENGTH = 0.5e-3
@@ -61,12 +63,13 @@ def _raised(
 
 def test_villi_stand_out_by_their_length_and_differ():
     planes = _raised(_channels())
-    assert (planes[:, :, : _EDGE + 1] == 1.0).all()
+    assert (planes[:, :, :_FLAT] == 1.0).all()
     behind = planes[0, :, _EDGE + 1 :]
     longest = 1.5 * _LENGTH / _NEAR * _FOCAL
     assert not behind[:, int(longest + 1.5) :].any()
-    # Opacity falls by a third and tone by a fifth to the tips; the tone is 0.7 to 0.9.
-    lengths = (behind > 0.3).sum(axis=1) * _NEAR / _FOCAL
+    # Opacity falls by a third and tone by a fifth to the tips; the tone is 0.7 to 0.9 of the wall
+    # next to the edge.
+    lengths = (behind > 0.2).sum(axis=1) * _NEAR / _FOCAL
     assert 0.4 * _LENGTH < lengths.mean() < 0.9 * _LENGTH
     assert lengths.std() > 0.15 * _LENGTH
     # Villi are as far apart as their spacing: maxima along the outline, 16 mm long.
@@ -83,6 +86,27 @@ def test_a_fringe_of_short_villi_is_a_soft_band():
     assert behind[0, 0] > 0.2
     assert (np.diff(behind[0, :3]) < 0.0).all()
     assert not behind[0, int(np.ceil(1.5 * 1.4)) :].any()
+
+
+@pytest.mark.parametrize("focal", [60.0, 100.0])
+def test_edges_of_folds_are_darker_as_if_round(focal):
+    """A radius of 0.5 mm: the light of a round edge falls with the cosine of its normal."""
+    near = _raised(_channels(), focal=focal)[:, 1:-1, : _EDGE + 1]
+    assert (near == near[:, :1]).all()
+    from_edge = np.arange(_EDGE, -1, -1) + 0.5
+    inward = np.maximum(1.0 - from_edge / (0.5e-3 * focal / _NEAR), 0.0)
+    density = 1.0 - np.sqrt(1.0 - inward**2)
+    for plane, color in zip(near, (0.8, 1.1, 1.2), strict=True):
+        np.testing.assert_allclose(plane[0], np.exp(-color * density), rtol=1e-5)
+
+
+def test_edges_before_a_wall_next_to_them_are_not_darker():
+    channels = _channels()
+    channels[0][:, _EDGE + 1 :] = _NEAR + 0.9e-3
+    assert (_raised(channels)[:, :, : _EDGE + 1] == 1.0).all()
+    channels[0][:, _EDGE + 1 :] = _NEAR + 2e-3
+    dark = _raised(channels)[1, :, _EDGE]
+    assert ((dark > _raised(_channels())[1, :, _EDGE]) & (dark < 1.0)).all()
 
 
 def test_narrow_villi_stick_together_in_tufts():
@@ -104,12 +128,12 @@ def test_light_diffuses_in_the_tissue_red_light_farthest():
         _raised(channels, 1e-9, gaps=0.0, shadow=True, diffusion=diffusion)[:, 200]
         for diffusion in (_NONE, (0.22e-3, 0.16e-3, 0.1e-3))
     ]
-    assert set(np.unique(planes[0][:, : _EDGE + 1])) == {0.0, 1.0}
+    assert set(np.unique(planes[0][:, :_FLAT])) == {0.0, 1.0}
     red, green, blue = planes[1][:, 30]
     assert 0.4 > red > 1.3 * green > 3.0 * blue > 0.0
     assert (np.diff(planes[1][:, 34]) < 0.0).all()  # in the shadow
     assert (np.diff(planes[1][:, 36]) > 0.0).all()
-    sums = [plane[:, : _EDGE + 1].sum(axis=1) for plane in planes]
+    sums = [plane[:, :_FLAT].sum(axis=1) for plane in planes]
     np.testing.assert_allclose(sums[1], sums[0], rtol=0.02)
     assert not planes[1][:, _EDGE + 2 :].any()  # nor does it reach the wall behind
 
@@ -137,7 +161,7 @@ def test_there_are_none_behind_what_floats_in_front():
 
 
 def test_gaps_between_villi_are_a_dark_network():
-    planes = _raised(_channels(), gaps=0.7, scale=2.0)[:, 1:-1, 1 : _EDGE - 1]
+    planes = _raised(_channels(), gaps=0.7, scale=2.0)[:, 1:-1, 1:_FLAT]
     density = -np.log(planes)
     assert np.allclose(density[0], 0.45 * density[1], atol=1e-5)
     assert np.allclose(density[2], 1.1 * density[1], atol=1e-5)
@@ -156,7 +180,7 @@ def test_gaps_between_villi_are_a_dark_network():
 def test_gaps_of_villi_near_the_dome_are_fainter():
     """Villi of 7.1 pixels have 0.48 of the gaps of villi of 3.5 pixels."""
     far, near = (
-        -np.log(_raised(_channels(), gaps=0.7, scale=scale)[1, 1:-1, 1 : _EDGE - 1])
+        -np.log(_raised(_channels(), gaps=0.7, scale=scale)[1, 1:-1, 1:_FLAT])
         for scale in (2.0, 1.0)
     )
     assert np.ptp(near) == pytest.approx(0.48 * np.ptp(far), rel=0.05)
@@ -164,9 +188,9 @@ def test_gaps_of_villi_near_the_dome_are_fainter():
 
 def test_gaps_in_a_slanting_wall_are_darker():
     channels = _channels()
-    front = -np.log(_raised(channels, gaps=0.7)[1, 1:-1, 1 : _EDGE - 1])
+    front = -np.log(_raised(channels, gaps=0.7)[1, 1:-1, 1:_FLAT])
     channels[0][:, : _EDGE + 1] *= np.exp(np.arange(_EDGE + 1) / _FOCAL)
-    aslant = -np.log(_raised(channels, gaps=0.7)[1, 1:-1, 1 : _EDGE - 1])
+    aslant = -np.log(_raised(channels, gaps=0.7)[1, 1:-1, 1:_FLAT])
     # At 45°, half of the difference between 0.45 and 1 is left.
     np.testing.assert_allclose(aslant, 0.725 / 0.45 * front, atol=2e-3)
 
@@ -177,7 +201,7 @@ def test_gaps_in_a_slanting_wall_are_darker():
 )
 def test_gaps_fade_where_pixels_do_not_resolve_them_or_the_wall_is_pulled(scale, contrast):
     # Pixels lie 80 or 320 µm apart, villi 420 µm; pulled walls have fewer per pixel on one side.
-    planes = _raised(_channels(), gaps=0.7, scale=scale)[:, 1:-1, 1 : _EDGE - 1]
+    planes = _raised(_channels(), gaps=0.7, scale=scale)[:, 1:-1, 1:_FLAT]
     assert (planes.std() > 0.05) == contrast
     assert contrast or (planes == 1.0).all()
 

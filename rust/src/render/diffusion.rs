@@ -5,8 +5,8 @@
 //! mean over pixels near it, along rows and then along columns. Weights fall with the distance
 //! between the points of the wall, so that light does not pass from a fold to one behind it.
 
-use crate::simd::f32x64::{max, min};
-use numpy::ndarray::ArrayViewMut3;
+use crate::simd::f32x64::{LANES, max, min};
+use numpy::ndarray::{ArrayViewMut3, Axis};
 use rayon::prelude::*;
 
 /// Radius of the kernel (1 − r²/R²)² relative to its standard deviation along an axis: √7.
@@ -36,68 +36,102 @@ impl Points<'_> {
     pub fn diffuse(&self, planes: &mut ArrayViewMut3<'_, f32>, deviations: Color) {
         let columns = self.size.1;
         let color = |pixel: usize| [0, 1, 2].map(|k| planes[[k, pixel / columns, pixel % columns]]);
-        let colors: Vec<Color> = (0..self.distance.len()).map(color).collect();
+        let colors: Vec<Color> =
+            (0..self.distance.len()).into_par_iter().with_min_len(4096).map(color).collect();
         let diffused = self.along(&self.along(&colors, deviations, false), deviations, true);
-        for (pixel, (own, diffused)) in colors.into_iter().zip(diffused).enumerate() {
-            for k in 0..3 {
-                let mixed = own[k] + SHARE * (diffused[k] - own[k]);
-                planes[[k, pixel / columns, pixel % columns]] = mixed;
+        let mut lines: Vec<_> = planes.axis_iter_mut(Axis(1)).collect();
+        lines.par_iter_mut().enumerate().for_each(|(y, line)| {
+            for x in 0..columns {
+                let (own, diffused) = (colors[y * columns + x], diffused[y * columns + x]);
+                for k in 0..3 {
+                    line[[k, x]] = own[k] + SHARE * (diffused[k] - own[k]);
+                }
             }
-        }
+        });
     }
 
     /// Weighted means along the rows of an image, or along its columns.
     fn along(&self, colors: &[Color], deviations: Color, is_column: bool) -> Vec<Color> {
-        let (rows, columns) = self.size;
-        let mean = |pixel: usize| {
-            let (at, size, step) = if is_column {
-                (pixel / columns, rows, columns)
-            } else {
-                (pixel % columns, columns, 1)
-            };
-            self.mean(colors, deviations, (pixel, at as i32, size as i32, step as i32))
-        };
-        (0..colors.len()).into_par_iter().with_min_len(4096).map(mean).collect()
-    }
-
-    /// Weighted mean around a pixel, given its position in a line of a length, and its step.
-    #[inline(always)]
-    fn mean(
-        &self,
-        colors: &[Color],
-        deviations: Color,
-        (pixel, at, size, step): (usize, i32, i32, i32),
-    ) -> Color {
-        let (own, distance) = (colors[pixel], self.distance[pixel]);
-        let footprint = distance / self.focal;
-        let most = WIDEST * footprint;
-        let per_square = deviations.map(|deviation| {
-            let radius = max(min(RADIUS * deviation, most), 1e-9);
-            1.0 / (radius * radius)
+        let mut means = colors.to_vec();
+        means.par_chunks_mut(self.size.1).enumerate().for_each(|(y, row)| {
+            for (k, chunk) in row.chunks_mut(LANES).enumerate() {
+                write_means(self, colors, deviations, (y, k * LANES), is_column, chunk);
+            }
         });
-        let widest = deviations.iter().fold(0.0, |a, &b| max(a, b));
-        let spacing = min(RADIUS * widest / footprint, WIDEST) / (SAMPLES + 1) as f32;
-        if distance.is_nan() || spacing * (SAMPLES as f32) < 1.0 {
-            return own;
+        means
+    }
+}
+
+/// Writes the weighted means around some pixels of a row, from a row and column.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn write_means(
+    points: &Points<'_>,
+    colors: &[Color],
+    deviations: Color,
+    (row, column): (usize, usize),
+    is_column: bool,
+    means: &mut [Color],
+) {
+    let (size, columns) = if is_column { points.size } else { (points.size.1, points.size.1) };
+    let step = if is_column { columns } else { 1 };
+    let first = row * columns + column;
+    let widest = deviations.iter().fold(0.0, |a, &b| max(a, b));
+    let mut distance = [f32::NAN; LANES];
+    distance[..means.len()].copy_from_slice(&points.distance[first..][..means.len()]);
+    let (mut footprint, mut spacing) = ([0.0; LANES], [0.0; LANES]);
+    let (mut per_square, mut is_spread) = ([[0.0; LANES]; 3], [false; LANES]);
+    for i in 0..LANES {
+        footprint[i] = distance[i] / points.focal;
+        spacing[i] = min(RADIUS * widest / footprint[i], WIDEST) / (SAMPLES + 1) as f32;
+        is_spread[i] = spacing[i] * SAMPLES as f32 >= 1.0 && !distance[i].is_nan();
+        for k in 0..3 {
+            let radius = max(min(RADIUS * deviations[k], WIDEST * footprint[i]), 1e-9);
+            per_square[k][i] = 1.0 / (radius * radius);
         }
-        let (mut sum, mut whole) = (own, [1.0; 3]);
-        for sample in 1..=SAMPLES {
-            let offset = (sample as f32 * spacing + 0.5) as i32;
-            for offset in [-offset, offset] {
-                if at + offset < 0 || at + offset >= size {
-                    continue;
-                }
-                let other = (pixel as i32 + offset * step) as usize;
-                let (across, along) = (offset as f32 * footprint, self.distance[other] - distance);
-                let square = across * across + along * along;
-                for k in 0..3 {
-                    let near = max(1.0 - square * per_square[k], 0.0); // 0 if it is NaN
-                    sum[k] += near * near * colors[other][k];
-                    whole[k] += near * near;
-                }
+    }
+    if !is_spread.contains(&true) {
+        return;
+    }
+    let (mut sum, mut whole) = ([[0.0; LANES]; 3], [[1.0; LANES]; 3]);
+    for (i, own) in means.iter().enumerate() {
+        for k in 0..3 {
+            sum[k][i] = own[k];
+        }
+    }
+    let (mut along, mut across, mut light) = ([0.0; LANES], [0.0; LANES], [[0.0; LANES]; 3]);
+    for sample in 0..2 * SAMPLES {
+        let sign = if sample % 2 == 0 { -1 } else { 1 };
+        for i in 0..means.len() {
+            let offset = sign * ((sample / 2 + 1) as f32 * spacing[i] + 0.5) as i32;
+            let at = (if is_column { row } else { column + i }) as i32 + offset;
+            if !is_spread[i] || at < 0 || at >= size as i32 {
+                along[i] = f32::NAN;
+                continue;
+            }
+            let other = ((first + i) as i32 + offset * step as i32) as usize;
+            along[i] = points.distance[other] - distance[i];
+            across[i] = offset as f32 * footprint[i];
+            for k in 0..3 {
+                light[k][i] = colors[other][k];
             }
         }
-        [0, 1, 2].map(|k| sum[k] / whole[k])
+        for k in 0..3 {
+            for i in 0..LANES {
+                let square = across[i] * across[i] + along[i] * along[i];
+                let near = max(1.0 - square * per_square[k][i], 0.0); // 0 if it is NaN
+                sum[k][i] += near * near * light[k][i];
+                whole[k][i] += near * near;
+            }
+        }
+    }
+    for (i, mean) in means.iter_mut().enumerate() {
+        if is_spread[i] {
+            *mean = [0, 1, 2].map(|k| sum[k][i] / whole[k][i]);
+        }
     }
 }
 

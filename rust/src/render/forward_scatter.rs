@@ -58,23 +58,25 @@ fn blurred(image: &[f32], (height, width): (usize, usize), sigma: f32) -> Vec<f3
         }
     }
     let small = blurred(&small, half, 0.5 * sigma);
-    // Linear interpolation between the centers of cells.
-    let between = |fine: usize, count: usize| {
-        let at = (0.5 * fine as f32 - 0.25).clamp(0.0, count as f32 - 1.0);
-        (at as usize, (at as usize + 1).min(count - 1), at.fract())
-    };
     let mut out = vec![0.0; height * width];
+    let places: Vec<_> = (0..width).map(|x| between(x, half.1)).collect();
     for (y, row) in out.chunks_exact_mut(width).enumerate() {
         let (top, bottom, v) = between(y, half.0);
         let (top, bottom) = (&small[top * half.1..][..half.1], &small[bottom * half.1..][..half.1]);
-        for (x, value) in row.iter_mut().enumerate() {
-            let (left, right, u) = between(x, half.1);
-            let above = top[left] + u * (top[right] - top[left]);
-            let below = bottom[left] + u * (bottom[right] - bottom[left]);
-            *value = above + v * (below - above);
+        let line: Vec<f32> =
+            top.iter().zip(bottom).map(|(top, bottom)| top + v * (bottom - top)).collect();
+        for (value, &(left, right, u)) in row.iter_mut().zip(&places) {
+            *value = line[left] + u * (line[right] - line[left]);
         }
     }
     out
+}
+
+/// Cells of half the size around a pixel, and the weight of the second: interpolation is linear
+/// between the centers of cells.
+fn between(fine: usize, count: usize) -> (usize, usize, f32) {
+    let at = (0.5 * fine as f32 - 0.25).clamp(0.0, count as f32 - 1.0);
+    (at as usize, (at as usize + 1).min(count - 1), at.fract())
 }
 
 /// Convolution with a Gaussian truncated at three standard deviations, 0 outside the image.

@@ -8,8 +8,10 @@
 //! attenuation to the power 1/2, 1/4, … (Wrenninge, Kulla and Lundqvist 2013, "Oz: the great and
 //! volumetric") and weights that give a half-space its true brightness (see `render/medium.py`).
 
+use crate::mucosa::noise::{exp, smoothstep};
 use crate::pool::on_pool;
-use crate::simd::f32x64::{Vec3, dot, sub};
+use crate::render::cloud_noise::{fractal, octave};
+use crate::simd::f32x64::{Vec3, clamp, dot, max, pow, scale, sub};
 use numpy::{IntoPyArray, PyArray2, PyArray3, ndarray};
 use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -20,20 +22,10 @@ use std::f32::consts::PI;
 const RAYS: usize = 40;
 /// Number of intervals along a ray; they grow with distance.
 const SLICES: usize = 16;
+/// Number of their ends.
+const ENDS: usize = SLICES + 1;
 /// Number of orders of scattering; the last represents all higher orders.
 const ORDERS: usize = 5;
-/// Number of octaves of the noise.
-const OCTAVES: u32 = 3;
-/// Scale of three octaves of gradient noise, which gives a standard deviation of 0.69.
-const SCALE: f32 = 0.322;
-/// Scale of one octave for the same deviation.
-const OCTAVE_SCALE: f32 = 0.264;
-/// Rotation from one octave to the next, by 1 rad about (1, 2, 3): aligned lattices show blocks.
-const TURN: [Vec3; 3] = [
-    [0.573_137_9, -0.609_006_6, 0.548_291_8],
-    [0.740_348_8, 0.671_644_5, -0.027_879_3],
-    [-0.351_278_5, 0.421_905_9, 0.835_822_3],
-];
 /// Maximum distance from which light returns [m].
 const FARTHEST: f32 = 0.1;
 
@@ -162,7 +154,7 @@ fn immerse_line(grid: &Grid, rig: &Rig<'_>, y: usize, distance: &[f32], out: Lin
             veil[k][x] = node[k];
             image[[k, x]] *= node[3 + k] * node[6 + k];
         }
-        clear[x] = (-node[9]).exp();
+        clear[x] = exp(-node[9]);
     }
 }
 
@@ -172,7 +164,7 @@ struct Grid {
     step: usize,
     columns: usize,
     /// None outside the camera's field of view.
-    rays: Vec<Option<Box<[Node; SLICES + 1]>>>,
+    rays: Vec<Option<Box<[Node; ENDS]>>>,
 }
 
 impl Grid {
@@ -184,7 +176,7 @@ impl Grid {
         let rays = (0..rows * columns).into_par_iter().map(|k| {
             let (y, x) =
                 ((k / columns * step).min(height - 1), (k % columns * step).min(width - 1));
-            rig.ray(y * width + x).map(|(ray, start)| medium.integrate(rig, (ray, start), cell))
+            rig.ray(y * width + x).map(|ray| integrate(medium, rig, ray, cell))
         });
         Grid { step, columns, rays: rays.collect() }
     }
@@ -241,191 +233,200 @@ impl Rig<'_> {
         apart.map_or(0.0, |apart| dot(apart, apart).sqrt())
     }
 
-    /// A point in the frame to which the clouds are fixed [m].
-    fn fixed(&self, point: Vec3) -> Vec3 {
-        [0, 4, 8].map(|k| {
-            self.pose[k] * point[0]
-                + self.pose[k + 1] * point[1]
-                + self.pose[k + 2] * point[2]
-                + self.pose[k + 3]
-        })
+    /// Points at distances along a ray, in the frame to which the clouds are fixed [m].
+    #[inline(always)]
+    fn fixed<const N: usize>(&self, ray: Vec3, distances: &[f32; N]) -> [[f32; N]; 3] {
+        let mut fixed = [[0.0; N]; 3];
+        for (k, row) in self.pose.chunks_exact(4).enumerate() {
+            let along = row[0] * ray[0] + row[1] * ray[1] + row[2] * ray[2];
+            for i in 0..N {
+                fixed[k][i] = distances[i] * along + row[3];
+            }
+        }
+        fixed
     }
 }
 
+/// Integrals along a ray from the distance at which it leaves the capsule, given the angle to the
+/// next ray.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn integrate(
+    medium: &Medium,
+    rig: &Rig<'_>,
+    (ray, start): (Vec3, f32),
+    cell: f32,
+) -> Box<[Node; ENDS]> {
+    let length = max(rig.farthest - start, 1e-6);
+    let part = |k: usize| k as f32 / SLICES as f32;
+    let ends: [f32; ENDS] = std::array::from_fn(|k| start + length * part(k) * part(k));
+    let middles: [f32; SLICES] = std::array::from_fn(|k| 0.5 * (ends[k] + ends[k + 1]));
+    let (density, flocs) = medium.densities(rig, ray, &middles, cell);
+    // Optical depths of transport by color, and of scattering.
+    let (mut depths, mut halfway) = ([[0.0; ENDS]; 3], [[0.0; SLICES]; 3]);
+    let (mut back, mut scattered) = ([[0.0; SLICES]; 3], [0.0; ENDS]);
+    for k in 0..3 {
+        let reflected = (1.0 - medium.anisotropy) * medium.scattering[k];
+        for i in 0..SLICES {
+            let step = ends[i + 1] - ends[i];
+            let lost = density[i] * (medium.absorption[k] + reflected) + flocs[i] + medium.stain[k];
+            back[k][i] = density[i] * reflected + flocs[i] * medium.floc_color[k];
+            halfway[k][i] = depths[k][i] + 0.5 * step * lost;
+            depths[k][i + 1] = depths[k][i] + step * lost;
+        }
+    }
+    for i in 0..SLICES {
+        let forward = density[i] * medium.anisotropy * medium.scattering[1];
+        scattered[i + 1] = scattered[i] + (ends[i + 1] - ends[i]) * forward;
+    }
+    let mut nodes = Box::new([[0.0; VALUES]; ENDS]);
+    let arriving = medium.arriving(rig, (ray, start), &ends, &depths);
+    for (i, node) in nodes.iter_mut().enumerate() {
+        for k in 0..3 {
+            (node[3 + k], node[6 + k]) = (exp(-depths[k][i]), arriving[k][i]);
+        }
+        node[9] = scattered[i];
+    }
+    if back.iter().flatten().any(|&back| back > 0.0) {
+        let light = medium.scattered(rig, (ray, start), &middles, &halfway);
+        for i in 0..SLICES {
+            for k in 0..3 {
+                let step = ends[i + 1] - ends[i];
+                nodes[i + 1][k] = nodes[i][k] + step * back[k][i] * light[k][i];
+            }
+        }
+    }
+    nodes
+}
+
 impl Medium {
-    /// Integrals along a ray from the distance at which it leaves the capsule, given the angle to
-    /// the next ray.
-    fn integrate(
+    /// Fraction of the light of the LEDs that arrives at distances along a ray from its start, by
+    /// color, given the optical depths of the ray: extinction on the way from an LED is taken from it.
+    #[inline(always)]
+    fn arriving<const N: usize>(
         &self,
         rig: &Rig<'_>,
         (ray, start): (Vec3, f32),
-        cell: f32,
-    ) -> Box<[Node; SLICES + 1]> {
-        let mut out = Box::new([[0.0; VALUES]; SLICES + 1]);
-        // Optical depths: of transport by color, and of scattering.
-        let (mut depth, mut scattered, mut veil) = ([0.0f32; 3], 0.0f32, [0.0f32; 3]);
-        let length = (rig.farthest - start).max(1e-6);
-        let node = |at: f32, depth: &Vec3, scattered: f32, veil: &Vec3| -> Node {
-            let (lit, all) = self.arriving(rig, ray.map(|x| x * at), (start, at), depth);
-            let mut node = [0.0; VALUES];
+        at: &[f32; N],
+        depths: &[[f32; N]; 3],
+    ) -> [[f32; N]; 3] {
+        let (mut lit, mut all) = ([[0.0; N]; 3], [[0.0; N]; 3]);
+        for led in &rig.leds {
+            let (arrives, ratio) = irradiance(led, (ray, start), at);
             for k in 0..3 {
-                node[k] = veil[k];
-                node[3 + k] = (-depth[k]).exp();
-                node[6 + k] = if all[k] > 0.0 { lit[k] / all[k] } else { (-depth[k]).exp() };
+                for i in 0..N {
+                    all[k][i] += led[6 + k] * arrives[i];
+                    lit[k][i] += led[6 + k] * arrives[i] * exp(-depths[k][i] * ratio[i]);
+                }
             }
-            node[9] = scattered;
-            node
-        };
-        out[0] = node(start, &depth, 0.0, &veil);
-        let mut from = start;
-        for slice in 0..SLICES {
-            let part = (slice + 1) as f32 / SLICES as f32;
-            let to = start + length * part * part;
-            let (step, middle) = (to - from, 0.5 * (from + to));
-            let (density, flocs) = self.density(rig.fixed(ray.map(|x| x * middle)), cell * middle);
-            let back: Vec3 = std::array::from_fn(|k| {
-                density * (1.0 - self.anisotropy) * self.scattering[k] + flocs * self.floc_color[k]
-            });
-            let gone: Vec3 = std::array::from_fn(|k| {
-                let lost = self.absorption[k] + (1.0 - self.anisotropy) * self.scattering[k];
-                density * lost + flocs + self.stain[k]
-            });
-            let halfway: Vec3 = std::array::from_fn(|k| depth[k] + 0.5 * step * gone[k]);
-            let light = self.scattered(rig, ray.map(|x| x * middle), (start, middle), &halfway);
-            for k in 0..3 {
-                veil[k] += step * back[k] * light[k];
-                depth[k] += step * gone[k];
-            }
-            scattered += step * density * self.anisotropy * self.scattering[1];
-            out[slice + 1] = node(to, &depth, scattered, &veil);
-            from = to;
         }
-        out
+        for k in 0..3 {
+            for i in 0..N {
+                let is_lit = all[k][i] > 0.0;
+                lit[k][i] = if is_lit { lit[k][i] / all[k][i] } else { exp(-depths[k][i]) };
+            }
+        }
+        lit
     }
 
-    /// Irradiance at a point at a distance along a ray, with and without extinction on the path
-    /// from the LEDs; their mean extinction is taken from the ray.
-    fn arriving(
+    /// Radiance per scattering coefficient that points along a ray send to the camera, by color,
+    /// after extinction on both paths, summed over all orders of scattering.
+    #[inline(always)]
+    fn scattered<const N: usize>(
         &self,
         rig: &Rig<'_>,
-        point: Vec3,
-        (start, at): (f32, f32),
-        depth: &Vec3,
-    ) -> (Vec3, Vec3) {
-        let (mut lit, mut all) = ([0.0; 3], [0.0; 3]);
+        (ray, start): (Vec3, f32),
+        at: &[f32; N],
+        depths: &[[f32; N]; 3],
+    ) -> [[f32; N]; 3] {
+        let mut sum = [[0.0; N]; 3];
         for led in &rig.leds {
-            let (arrives, way) = irradiance(led, point);
-            let ratio = (way - start).max(0.0) / (at - start).max(1e-6);
+            let (arrives, ratio) = irradiance(led, (ray, start), at);
             for k in 0..3 {
-                all[k] += arrives[k];
-                lit[k] += arrives[k] * (-depth[k] * ratio).exp();
-            }
-        }
-        (lit, all)
-    }
-
-    /// Radiance per scattering coefficient that a point on a ray sends to the camera, after
-    /// extinction on both paths, summed over all orders of scattering.
-    fn scattered(&self, rig: &Rig<'_>, point: Vec3, (start, at): (f32, f32), depth: &Vec3) -> Vec3 {
-        let mut sum = [0.0; 3];
-        for led in &rig.leds {
-            let (arrives, way) = irradiance(led, point);
-            let ratio = (way - start).max(0.0) / (at - start).max(1e-6);
-            for k in 0..3 {
-                let mut transmitted = (-depth[k] * (1.0 + ratio)).exp();
-                let (mut weight, mut orders) = (1.0, 0.0);
-                for order in 0..ORDERS {
-                    let last = order + 1 == ORDERS;
-                    orders += transmitted * weight / if last { 1.0 - self.orders[k] } else { 1.0 };
-                    transmitted = transmitted.sqrt();
-                    weight *= 0.5 * self.orders[k];
+                for i in 0..N {
+                    let mut transmitted = exp(-depths[k][i] * (1.0 + ratio[i]));
+                    let (mut weight, mut orders) = (1.0, 0.0);
+                    for order in 0..ORDERS {
+                        let last = order + 1 == ORDERS;
+                        let rest = if last { 1.0 - self.orders[k] } else { 1.0 };
+                        orders += transmitted * weight / rest;
+                        transmitted = transmitted.sqrt();
+                        weight *= 0.5 * self.orders[k];
+                    }
+                    sum[k][i] += led[6 + k] * arrives[i] * orders / (4.0 * PI);
                 }
-                sum[k] += arrives[k] * orders / (4.0 * PI);
             }
         }
         sum
     }
 
-    /// Density relative to the mean, and extinction by flocs [1/m], given the distance to the next
-    /// ray [m]. Flocs fade to their mean where they are less than four rays apart, which would show
-    /// them as blocks.
-    fn density(&self, point: Vec3, apart: f32) -> (f32, f32) {
+    /// Densities relative to the mean, and extinctions by flocs [1/m], at distances along a ray, given
+    /// the angle to the next ray. Flocs fade to their mean where they are less than four rays apart,
+    /// which would show them as blocks.
+    #[inline(always)]
+    fn densities<const N: usize>(
+        &self,
+        rig: &Rig<'_>,
+        ray: Vec3,
+        at: &[f32; N],
+        cell: f32,
+    ) -> ([f32; N], [f32; N]) {
+        let (mut density, mut flocs) = ([1.0; N], [0.0; N]);
+        let points = rig.fixed(ray, at);
         let (spread, size) = self.clouds;
-        let mut density = 1.0;
         if spread > 0.0 {
             // Wisps: the clouds are elongated along one direction.
-            let at = [point[0], point[1] + 0.5 * point[2], 0.4 * point[2]].map(|x| x / size);
-            let noise = fractal(at, self.seed);
-            density = (spread * noise - 0.5 * spread * spread).exp();
+            let mut wisps = [[0.0; N]; 3];
+            for i in 0..N {
+                let [x, y, z] = [0, 1, 2].map(|k| points[k][i]);
+                (wisps[0][i], wisps[1][i], wisps[2][i]) =
+                    (x / size, (y + 0.5 * z) / size, 0.4 * z / size);
+            }
+            let noise = fractal(&wisps, self.seed);
+            for i in 0..N {
+                density[i] = exp(spread * noise[i] - 0.5 * spread * spread);
+            }
         }
         let (extinction, size) = self.flocs;
-        let mut flocs = 0.0;
         if extinction > 0.0 {
-            let at = TURN.map(|row| dot(row, point.map(|x| x / size)));
-            let noise = gradient_noise(at, self.seed ^ 0x9e37_79b9) / OCTAVE_SCALE;
-            let t = ((noise - 1.2) / 0.6).clamp(0.0, 1.0);
-            let resolved = (0.5 * size / apart.max(1e-9) - 1.0).clamp(0.0, 1.0);
-            let floc = t * t * (3.0 - 2.0 * t);
-            flocs = extinction * (MEAN_FLOCS + resolved * (floc - MEAN_FLOCS));
+            let noise = octave(&points, size, self.seed ^ 0x9e37_79b9);
+            for i in 0..N {
+                let floc = smoothstep(1.2, 1.8, noise[i]);
+                let resolved = clamp(0.5 * size / max(cell * at[i], 1e-9) - 1.0, 0.0, 1.0);
+                flocs[i] = extinction * (MEAN_FLOCS + resolved * (floc - MEAN_FLOCS));
+            }
         }
         (density, flocs)
     }
 }
 
-/// Irradiance of a surface that faces an LED, and the distance from it [m].
-fn irradiance(led: &[f32; 10], point: Vec3) -> (Vec3, f32) {
-    let way = sub(point, [led[0], led[1], led[2]]);
-    let square = dot(way, way).max(1e-8);
-    let length = square.sqrt();
-    let cosine = dot(way, [led[3], led[4], led[5]]) / length;
-    let lobe = match led[9] {
-        0.0 => 1.0,
-        1.0 => cosine.max(0.0),
-        exponent => libm::powf(cosine.max(0.0), exponent),
-    };
-    ([6, 7, 8].map(|k| led[k] * lobe / square), length)
-}
-
-/// Sum of octaves of noise, of mean 0 and standard deviation 0.69.
-fn fractal(point: Vec3, seed: u32) -> f32 {
-    let (mut sum, mut at, mut height) = (0.0, point, 1.0);
-    for octave in 0..OCTAVES {
-        at = TURN.map(|row| dot(row, at));
-        sum += height * gradient_noise(at, seed.wrapping_add(octave.wrapping_mul(0x632b_e5ab)));
-        at = at.map(|x| 2.1 * x);
-        height *= 0.6;
+/// Irradiance of surfaces that face an LED, at distances along a ray, for unit intensity [1/m²]; and
+/// their distances from the LED relative to those along the ray, both less that to its start.
+#[inline(always)]
+fn irradiance<const N: usize>(
+    led: &[f32; 10],
+    (ray, start): (Vec3, f32),
+    at: &[f32; N],
+) -> ([f32; N], [f32; N]) {
+    let (mut arrives, mut ratio) = ([0.0; N], [0.0; N]);
+    let mut cosine = [0.0; N];
+    for i in 0..N {
+        let way = sub(scale(ray, at[i]), [led[0], led[1], led[2]]);
+        let square = max(dot(way, way), 1e-8);
+        let length = square.sqrt();
+        cosine[i] = max(dot(way, [led[3], led[4], led[5]]) / length, 0.0);
+        arrives[i] = 1.0 / square;
+        ratio[i] = max(length - start, 0.0) / max(at[i] - start, 1e-6);
     }
-    sum / SCALE
-}
-
-/// Gradient noise: 0 at integer points, with gradients of components from −1 to 1 (Perlin 1985).
-fn gradient_noise(point: Vec3, seed: u32) -> f32 {
-    let cell = point.map(f32::floor);
-    let offset = sub(point, cell);
-    let t = offset.map(|x| x * x * (3.0 - 2.0 * x));
-    let corner = cell.map(|x| x as i32);
-    let at = |dx: i32, dy: i32, dz: i32| {
-        let slope = gradient([corner[0] + dx, corner[1] + dy, corner[2] + dz], seed);
-        dot(slope, sub(offset, [dx as f32, dy as f32, dz as f32]))
-    };
-    let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
-    let near = mix(mix(at(0, 0, 0), at(1, 0, 0), t[0]), mix(at(0, 1, 0), at(1, 1, 0), t[0]), t[1]);
-    let far = mix(mix(at(0, 0, 1), at(1, 0, 1), t[0]), mix(at(0, 1, 1), at(1, 1, 1), t[0]), t[1]);
-    mix(near, far, t[2])
-}
-
-/// Components from −1 to 1 of an integer point, ten bits each, by the finalizer of MurmurHash3
-/// (Appleby 2011).
-fn gradient(point: [i32; 3], seed: u32) -> Vec3 {
-    let mut x = seed;
-    for (k, factor) in [0x8da6_b343_u32, 0xd816_3841, 0xcb1a_b31f].into_iter().enumerate() {
-        x ^= (point[k] as u32).wrapping_mul(factor);
-        x = x.rotate_left(13).wrapping_mul(5).wrapping_add(0xe654_6b64);
+    for i in 0..N {
+        arrives[i] *= match led[9] {
+            0.0 => 1.0,
+            1.0 => cosine[i],
+            exponent => pow(cosine[i], exponent),
+        };
     }
-    x ^= x >> 16;
-    x = x.wrapping_mul(0x85eb_ca6b);
-    x ^= x >> 13;
-    x = x.wrapping_mul(0xc2b2_ae35);
-    x ^= x >> 16;
-    [0, 10, 20].map(|shift| (x >> shift & 1023) as f32 * (2.0 / 1023.0) - 1.0)
+    (arrives, ratio)
 }

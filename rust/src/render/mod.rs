@@ -2,6 +2,7 @@
 
 pub mod batch;
 pub mod channels;
+mod cloud_noise;
 mod diffusion;
 pub mod forward_scatter;
 pub mod frame;

@@ -102,13 +102,27 @@ def _patches(
 
 
 def relaxed(
+    vertices: Float[np.ndarray, "n 3"], patches: tuple[HarmonicPatch, ...]
+) -> Float[np.ndarray, "n 3"]:
+    """Vertices with those inside the patches at the means of their neighbors [m].
+
+    Args:
+        vertices: Vertices of the surface [m].
+        patches: Result of `untangle`.
+    """
+    moved = vertices.copy()
+    relax(moved, patches)
+    return moved
+
+
+def relax(
     vertices: Float[np.ndarray, "n 3"],
     patches: tuple[HarmonicPatch, ...],
     weight: Float[np.ndarray, " n"] | None = None,
     *,
     first: int = 0,
-) -> Float[np.ndarray, "n 3"]:
-    """Vertices with those inside the patches at the means of their neighbors [m].
+) -> None:
+    """Move vertices inside the patches to the means of their neighbors, in place.
 
     Args:
         vertices: Consecutive vertices of the surface [m]; patches that reach beyond them stay.
@@ -116,7 +130,6 @@ def relaxed(
         weight: Fraction of the displacement that applies to each vertex; None for all of it.
         first: Index of the first vertex in the surface.
     """
-    moved = vertices.copy()
     for patch in patches:
         inside, border = patch.inside - first, patch.border - first
         ends = np.concatenate([inside, border])
@@ -125,8 +138,7 @@ def relaxed(
         goal = patch.positions(vertices[border])
         if weight is not None:
             goal = vertices[inside] + weight[inside, None] * (goal - vertices[inside])
-        moved[inside] = goal
-    return moved
+        vertices[inside] = goal
 
 
 def _next_to_turned(

@@ -7,6 +7,7 @@ trees grown on the wall itself.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -111,7 +112,12 @@ def _of_patient(mucosa: Mucosa, seed: int) -> Mucosa:
     spread = np.array(mucosa.patient_variation)
     densities = spread * stream(seed, "mucosa/densities").standard_normal(2)
     color = np.array(mucosa.base_color) * np.exp(-densities @ ABSORPTION)
-    return replace(mucosa, base_color=tuple(np.clip(color, 0.01, 0.95).tolist()))
+    wetter = mucosa.clearcoat_variation * float(stream(seed, "mucosa/film").standard_normal())
+    return replace(
+        mucosa,
+        base_color=tuple(np.clip(color, 0.01, 0.95).tolist()),
+        clearcoat=min(mucosa.clearcoat * math.exp(wetter), 1.0),
+    )
 
 
 def _meters_per_uv(organ: OrganSurface) -> tuple[float, float]:

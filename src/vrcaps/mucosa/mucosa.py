@@ -57,7 +57,8 @@ class Mucosa:
         mucus: Amount of mucus, 0 to 1: film and strands cover a third of this fraction of the wall.
         mucus_tint: Reflectance of mucus relative to the wall, red, green, blue.
         roughness: Perceptual roughness of the wall under its wet film, 0 to 1.
-        clearcoat: Strength of the wet film, 0 (dry, or broken up) to 1 (full).
+        clearcoat: Median strength of the wet film over patients, 0 (dry, or broken up) to 1 (full).
+        clearcoat_variation: Standard deviation of its natural logarithm over patients.
         clearcoat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
     """
 
@@ -82,6 +83,7 @@ class Mucosa:
     mucus_tint: tuple[float, float, float] = MUCUS_TINT
     roughness: float = 0.65
     clearcoat: float = 1.0
+    clearcoat_variation: float = 0.0
     clearcoat_gloss: float = 0.93
 
 
@@ -127,7 +129,9 @@ MUCOSAE: dict[str, Mucosa] = {
         mucus=0.0,
         mucus_tint=(1.10, 1.5, 1.5),
         roughness=1.0,
-        clearcoat=0.08,
+        clearcoat=0.1,
+        clearcoat_variation=0.9,
+        clearcoat_gloss=0.97,
     ),
 }
 """Mucosae by organ."""
@@ -211,7 +215,9 @@ class MucosaSettings(FileRef):
         flecks: Fraction of cells, 3.2 mm wide, with a fleck of mucus.
         mucus: Amount of mucus.
         roughness: Perceptual roughness of the wall under its wet film.
-        clearcoat: Strength of the wet film, 0 (dry) to 1 (full).
+        clearcoat: Strength of the wet film, 0 (dry) to 1 (full), the same for all patients if it is
+            set alone.
+        clearcoat_variation: Standard deviation of its natural logarithm over patients.
         clearcoat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
     """
 
@@ -232,6 +238,7 @@ class MucosaSettings(FileRef):
     mucus: _Fraction = None
     roughness: _Fraction = None
     clearcoat: _Fraction = None
+    clearcoat_variation: _Amount = None
     clearcoat_gloss: _Fraction = None
 
     def __post_init__(self) -> None:
@@ -265,4 +272,7 @@ class MucosaSettings(FileRef):
             own: Name of the organ's own mucosa.
         """
         name = self.path or own
-        return replace(MUCOSAE[name], **self.changes) if self.changes else name
+        if not self.changes:
+            return name
+        fixed = {} if self.clearcoat is None else {"clearcoat_variation": 0.0}
+        return replace(MUCOSAE[name], **(fixed | self.changes))

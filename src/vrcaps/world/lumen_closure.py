@@ -16,7 +16,7 @@ import numpy as np
 from vrcaps.core.errors import require
 from vrcaps.core.geometry import smoothstep, transform_points
 from vrcaps.core.units import MM
-from vrcaps.mesh.untangle import HarmonicPatch, relaxed, untangle
+from vrcaps.mesh.untangle import HarmonicPatch, relax, untangle
 from vrcaps.organ.surface import POCKETS, interpolate
 from vrcaps.world.closed_course import FOLD_SHARE, SOFT, Course, PerVertex, closed_course
 from vrcaps.world.model import Model
@@ -150,7 +150,8 @@ class LumenClosure:
         low, high = np.interp([-cylinder, cylinder], np.linspace(-1, 1, _NUM_SAMPLES), s_axis)
         away = np.maximum(np.maximum(low - at.s, at.s - high), 0.0)
         closed = _closed(at, wall, _Contraction(weight, offset, away, shell_radius))
-        return moved, relaxed(closed, self._patches, weight, first=near.start)
+        relax(closed, self._patches, weight, first=near.start)
+        return moved, closed
 
     def patches_near(
         self,

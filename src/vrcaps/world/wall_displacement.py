@@ -10,7 +10,8 @@ import numpy as np
 
 from vrcaps.core.errors import InputError
 from vrcaps.core.geometry import invert, rotate_vectors, smoothstep, transform_points
-from vrcaps.mesh.untangle import relaxed
+from vrcaps.mesh.point_blocks import PointBlocks, is_in_box
+from vrcaps.mesh.untangle import relax
 from vrcaps.world.lumen_closure import LumenClosure, closure_of
 from vrcaps.world.model import Model, State
 
@@ -98,8 +99,8 @@ class WallDisplacement:
             patches = closure.patches_near(vertices, T_world_capsule, half)
             if not patches:
                 break
-            wall = relaxed(vertices, patches), moved
-            vertices = self._yielding(wall, T_world_capsule, ends, None)
+            relax(vertices, patches)
+            vertices = self._yielding((vertices, moved), T_world_capsule, ends, None)
         return vertices
 
     @cached_property
@@ -108,9 +109,9 @@ class WallDisplacement:
         return closure_of(self.shown)
 
     @cached_property
-    def _rows_at_rest(self) -> Float[np.ndarray, "3 n"]:
-        """Coordinates of the vertices at rest, each in a contiguous row [m]."""
-        return np.ascontiguousarray(self.shown.vertices_world.T)
+    def _at_rest(self) -> PointBlocks:
+        """Vertices at rest [m]."""
+        return PointBlocks.of(self.shown.vertices_world)
 
     def _yielding(
         self,
@@ -130,10 +131,10 @@ class WallDisplacement:
         (vertices, displaced), radius, (low, high) = wall, self.model.device.radius, ends
         box = T_world_capsule[:3, 3], max(high, -low) + 2.0 * radius
         is_candidate = np.zeros(len(vertices), bool)
-        is_candidate[_near(self._rows_at_rest, *box)] = True
+        is_candidate[self._at_rest.near(*box)] = True
         is_candidate[displaced] = True
         near = np.flatnonzero(is_candidate)
-        near = near[_near(vertices[near].T, *box)]
+        near = near[is_in_box(vertices[near], *box)]
         _stretch((vertices, near), T_world_capsule, ends, radius, least)
         return vertices
 
@@ -155,7 +156,10 @@ class WallDisplacement:
         """
         radius, half = self.model.device.radius, self.model.device.length / 2.0
         box = T_world_capsule[:3, 3], half + 3.0 * radius
-        other = np.setdiff1d(_near(self._rows_at_rest, *box), closed)
+        is_other = np.ones(len(vertices), bool)
+        is_other[closed] = False
+        near = self._at_rest.near(*box)
+        other = near[is_other[near]]
         if not len(other):
             return
         offset = _from_segment(vertices[closed], T_world_capsule, (-half, half))
@@ -224,16 +228,6 @@ def _from_segment(
     offset = transform_points(invert(T_world_capsule), points)
     offset[:, 2] -= np.clip(offset[:, 2], *ends)
     return offset
-
-
-def _near(
-    rows: Float[np.ndarray, "3 n"], center: Float[np.ndarray, " 3"], reach: float
-) -> Int[np.ndarray, " k"]:
-    """Indices of the points, given by coordinate, in a box around a center, in order."""
-    near = np.flatnonzero(np.abs(rows[0] - center[0]) < reach)
-    for row, middle in zip(rows[1:], center[1:], strict=True):
-        near = near[np.abs(row[near] - middle) < reach]
-    return near
 
 
 _OPENING = 0.1

@@ -7,22 +7,18 @@
 //! outline. Gaps and lengths are fixed to one shape of the wall, so villi stay in their places while
 //! the wall moves. Only radiance changes; depth and labels are those of the wall.
 
-use crate::mucosa::noise::{Cells, DEVIATION, Lattice, Vec3, exp, smoothstep};
+mod outlines;
+
+use crate::mucosa::noise::{Cells, Lattice, Vec3, exp, smoothstep};
 use crate::mucosa::strokes::{LEAF, Strokes, leaf_space};
 use crate::pool::on_pool;
 use crate::render::diffusion::Points;
-use crate::simd::f32x64::{LANES, clamp, dot, max, min, sub};
+use crate::simd::f32x64::{LANES, Lane, Lane3, dot, max, sub};
 use numpy::ndarray::{ArrayView2, ArrayViewMut3, Axis};
 use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// Difference of distances along adjacent rays at an outline [m].
-const STEP: f32 = 1.0e-3;
-/// Maximum angle over which a villus is drawn [rad]; those next to the dome are out of focus.
-const WIDEST: f32 = 0.11;
-/// Distance from the outline to the wall whose radiance villi take [px].
-const INWARD: f32 = 1.5;
 /// Seeds of the cells, and of the variation of the lengths and of the gaps.
 const SEEDS: [u32; 3] = [0x7669_6c6c, 0x7669_6c68, 0x7669_6c67];
 /// Pixels across villi below which gaps are invisible, and from which they are drawn fully.
@@ -34,16 +30,6 @@ const PRESSED: f32 = 0.4;
 /// Ratio of the sides of a pixel on that shape of the wall up to which gaps are invisible, and from
 /// which they are drawn fully: where a wall is gathered or pulled, gaps would be streaks.
 const ROUND: [f32; 2] = [0.25, 0.5];
-/// Pixels along villi up to which a fringe is a soft band, and from which its villi stand out.
-const FRINGE: [f32; 2] = [1.5, 3.5];
-/// Length over which the tip of a villus ends [px].
-const TIP: f32 = 3.0;
-/// Maximum weight of single villi in a fringe; the rest is its mean over villi of all lengths.
-const SINGLE: f32 = 0.5;
-/// Minimum width of what stands out [px]: narrower villi stick together in tufts.
-const TUFT: f32 = 5.0;
-/// Widths of tufts relative to those of villi.
-const TUFTS: [f32; 3] = [1.0, 2.0, 4.0];
 /// Spacing of the lattice of strokes [spacings of villi].
 const STROKES: f32 = 1.2;
 /// Part of the gaps that surrounds each villus; the rest are strokes.
@@ -57,14 +43,6 @@ const MEAN_GAP: f32 = 0.59;
 const FACING: f32 = 0.45;
 /// Optical density of a gap in red, green and blue relative to green.
 const GAP_COLOR: [f32; 3] = [0.45, 1.0, 1.1];
-/// Relative length in the gaps between villi, and difference of the distances to the nearest two
-/// centers at which a villus has its full length [cells].
-const GROUND: f32 = 0.5;
-const SHOULDER: f32 = 0.55;
-/// Relative standard deviation of the lengths.
-const SPREAD: f32 = 0.25 / DEVIATION;
-/// Maximum length relative to the mean.
-const TALLEST: f32 = 1.5;
 
 /// Channels of an image: distance along each ray [h w] in meters, NaN where there is no surface;
 /// face [h w], negative there; weights of its first two corners [h w 2]; label [h w]; and label of
@@ -91,19 +69,6 @@ struct Seen<'a> {
     length: Vec<f32>,
     /// Optical density of the gaps between villi, 0 for none.
     gaps: Vec<f32>,
-}
-
-/// Pixel of an outline.
-struct Outline {
-    pixel: usize,
-    /// Length of its villus in the image [px].
-    length: f32,
-    /// Length of the tallest villus there [px].
-    longest: f32,
-    /// Position between the gap next to the villus (0) and its middle (1).
-    middle: f32,
-    /// Weight of single villi in the fringe; the rest is its mean over villi of all lengths.
-    sharp: f32,
 }
 
 /// Draws villi into planes [3 h w], in place.
@@ -138,8 +103,9 @@ pub fn raise_villi(
         let places = seen.places(vertices, faces)?;
         seen.diffuse(&mut image, diffusion, focal);
         seen.shade(&places, &mut image, spacing, focal);
-        let outlines = seen.grow(&seen.outlines(), &places, spacing, focal);
-        seen.paint(&outlines, &mut image);
+        let outlines = seen.outlines();
+        seen.round(&outlines, &mut image, focal);
+        seen.paint(&seen.grow(&outlines, &places, spacing, focal), &mut image);
         Ok(())
     })
 }
@@ -163,26 +129,6 @@ impl<'a> Seen<'a> {
         let (distance, face) = (distance.as_slice()?, face.as_slice()?);
         let (weights, hidden) = (weights.as_slice()?, hidden.as_slice()?);
         Ok(Seen { size: (rows, columns), distance, face, weights, hidden, length, gaps })
-    }
-
-    /// Pixels next to a ray that passes the wall's outline.
-    fn outlines(&self) -> Vec<usize> {
-        let (rows, columns) = self.size;
-        let mut found = Vec::new();
-        for y in 1..rows.saturating_sub(1) {
-            for x in 1..columns.saturating_sub(1) {
-                let pixel = y * columns + x;
-                if self.length[pixel] == 0.0 || !self.has_villi(pixel) {
-                    continue;
-                }
-                let beyond = self.distance[pixel] + STEP;
-                let around = [pixel - columns, pixel - 1, pixel + 1, pixel + columns];
-                if around.iter().any(|&next| self.distance[next] > beyond) {
-                    found.push(pixel);
-                }
-            }
-        }
-        found
     }
 
     /// Positions of pixels on the given shape of the wall [m]; NaN where there are no villi.
@@ -237,15 +183,15 @@ impl<'a> Seen<'a> {
         spacing: f32,
         focal: f32,
     ) {
-        let (columns, width) = (self.size.1, width(spacing));
+        let width = width(spacing);
         let strokes = Strokes::new(Lattice::new(SEEDS[2], STROKES * spacing));
         let cells = Cells::new(SEEDS[0], spacing);
+        let columns = self.size.1;
         let mut lines: Vec<_> = planes.axis_iter_mut(Axis(1)).collect();
         lines.par_iter_mut().enumerate().for_each(|(y, line)| {
             for start in (0..columns).step_by(LANES) {
-                let count = LANES.min(columns - start);
                 let (mut lanes, mut weights, mut any) = ([[0.0; LANES]; 3], [0.0; LANES], false);
-                for i in 0..count {
+                for i in 0..LANES.min(columns - start) {
                     let pixel = y * columns + start + i;
                     weights[i] = self.gaps[pixel] * self.resolved(places, pixel, width);
                     weights[i] *= FACING + (1.0 - FACING) * self.slant(pixel, focal);
@@ -259,13 +205,10 @@ impl<'a> Seen<'a> {
                 if !any {
                     continue;
                 }
-                let depths = strokes.depths(&lanes);
-                let borders = cells.borders(&leaf_space(&lanes, LEAF));
-                for i in 0..count {
-                    let around = 1.0 - smoothstep(0.0, GAP, borders[i]) - MEAN_GAP;
-                    let density = weights[i] * (depths[i] + AROUND * (around - depths[i]));
+                let remaining = remaining(&strokes, &cells, &lanes, &weights);
+                for i in 0..LANES.min(columns - start) {
                     for k in 0..3 {
-                        line[[k, start + i]] *= exp(-GAP_COLOR[k] * density);
+                        line[[k, start + i]] *= remaining[k][i];
                     }
                 }
             }
@@ -298,116 +241,29 @@ impl<'a> Seen<'a> {
         let square = (right * right + down * down) * focal * focal;
         if square.is_nan() { 0.0 } else { square / (1.0 + square) }
     }
+}
 
-    /// Villi of the pixels of outlines.
-    fn grow(&self, pixels: &[usize], places: &[Vec3], spacing: f32, focal: f32) -> Vec<Outline> {
-        let tufts = TUFTS.map(|size| Cells::new(SEEDS[0], size * spacing));
-        let lengths = Lattice::new(SEEDS[1], 1.5 * spacing);
-        let mut outlines = Vec::with_capacity(pixels.len());
-        for pixels in pixels.chunks(LANES) {
-            let mut lanes = [[0.0; LANES]; 3];
-            for (i, &pixel) in pixels.iter().enumerate() {
-                for k in 0..3 {
-                    lanes[k][i] = places[pixel][k];
-                }
-            }
-            let space = leaf_space(&lanes, LEAF);
-            let borders = tufts.each_ref().map(|cells| cells.borders(&space));
-            for (i, &pixel) in pixels.iter().enumerate() {
-                let place = places[pixel];
-                let per_length = focal / self.distance[pixel];
-                let ((below, above), share) = tuft_level(width(spacing) * per_length);
-                let middle = [below, above].map(|k| min(borders[k][i] / SHOULDER, 1.0).sqrt());
-                let middle = middle[0] + share * (middle[1] - middle[0]);
-                let varied = clamp(1.0 + SPREAD * lengths.gradient(place), 0.3, TALLEST);
-                let profile = GROUND + (1.0 - GROUND) * middle;
-                let mean = min(self.length[pixel] * per_length, WIDEST / TALLEST * focal);
-                let (length, longest) = (mean * varied * profile, mean * TALLEST);
-                let sharp = SINGLE * smoothstep(FRINGE[0], FRINGE[1], mean);
-                outlines.push(Outline { pixel, length, longest, middle, sharp });
-            }
-        }
-        outlines
-    }
-
-    /// Draws villi, each over the pixels behind that are nearest to its outline.
-    fn paint(&self, outlines: &[Outline], planes: &mut ArrayViewMut3<'_, f32>) {
-        let columns = self.size.1;
-        let color = |pixel: usize, planes: &ArrayViewMut3<'_, f32>| {
-            [0, 1, 2].map(|k| planes[[k, pixel / columns, pixel % columns]])
-        };
-        let mut drawn = Vec::new();
-        for (pixel, outline, apart) in self.nearest(outlines) {
-            let Outline { pixel: base, length, longest, middle, sharp } = outlines[outline];
-            let mix = |mean: f32, single: f32| mean + sharp * (single - mean);
-            let mean = clamp(1.0 - apart / longest, 0.0, 1.0);
-            let covered = mix(mean, clamp((length - apart) / TIP + 0.5, 0.0, 1.0));
-            if covered <= 0.0 {
-                continue;
-            }
-            // Tips let light through.
-            let (along, middle) = (min(apart / mix(longest, length), 1.0), mix(0.5, middle));
-            let (opacity, tone) =
-                (covered * (1.0 - 0.35 * along), (0.7 + 0.2 * middle) * (1.0 - 0.2 * along));
-            let villus = color(self.inside(base, pixel, apart), planes).map(|x| x * tone);
-            let behind = color(pixel, planes);
-            drawn.push((pixel, [0, 1, 2].map(|k| behind[k] + opacity * (villus[k] - behind[k]))));
-        }
-        for (pixel, villus) in drawn {
-            for k in 0..3 {
-                planes[[k, pixel / columns, pixel % columns]] = villus[k];
-            }
+/// Fraction of the light of points that gaps between villi leave, by color, for densities of the gaps.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn remaining(strokes: &Strokes, cells: &Cells, points: &Lane3, weights: &Lane) -> Lane3 {
+    let depths = strokes.depths(points);
+    let borders = cells.borders(&leaf_space(points, LEAF));
+    let mut remaining = [[0.0; LANES]; 3];
+    for i in 0..LANES {
+        let around = 1.0 - smoothstep(0.0, GAP, borders[i]) - MEAN_GAP;
+        let density = weights[i] * (depths[i] + AROUND * (around - depths[i]));
+        for k in 0..3 {
+            remaining[k][i] = exp(-GAP_COLOR[k] * density);
         }
     }
-
-    /// Pixels behind outlines, the nearest outline of each, and the distance to it [px].
-    fn nearest(&self, outlines: &[Outline]) -> Vec<(usize, usize, f32)> {
-        let (rows, columns) = self.size;
-        let mut nearest = vec![(i32::MAX, 0usize); rows * columns];
-        for (k, outline) in outlines.iter().enumerate() {
-            let beyond = self.distance[outline.pixel] + 0.5 * STEP;
-            let reach = (outline.longest + 1.0) as i32;
-            let (y, x) = ((outline.pixel / columns) as i32, (outline.pixel % columns) as i32);
-            for row in (y - reach).max(0)..=(y + reach).min(rows as i32 - 1) {
-                for column in (x - reach).max(0)..=(x + reach).min(columns as i32 - 1) {
-                    let pixel = row as usize * columns + column as usize;
-                    let square = (row - y) * (row - y) + (column - x) * (column - x);
-                    let is_behind = self.distance[pixel] > beyond && self.hidden[pixel] == 0;
-                    if is_behind && square < nearest[pixel].0 {
-                        nearest[pixel] = (square, k);
-                    }
-                }
-            }
-        }
-        let within = |(pixel, &(square, k)): (usize, &(i32, usize))| {
-            (square < i32::MAX).then(|| (pixel, k, (square as f32).sqrt()))
-        };
-        nearest.iter().enumerate().filter_map(within).collect()
-    }
-
-    /// Pixel of the wall inside of an outline, on the other side than a pixel behind it.
-    fn inside(&self, base: usize, behind: usize, apart: f32) -> usize {
-        let (rows, columns) = self.size;
-        let step = |from: usize, to: usize, size: usize| {
-            let offset = INWARD * (from as f32 - to as f32) / max(apart, 1.0);
-            clamp(from as f32 + offset + 0.5, 0.0, size as f32 - 1.0) as usize
-        };
-        let (y, x) = (base / columns, base % columns);
-        let inside = step(y, behind / columns, rows) * columns + step(x, behind % columns, columns);
-        let is_same = (self.distance[inside] - self.distance[base]).abs() < 1.5 * STEP;
-        if is_same { inside } else { base }
-    }
+    remaining
 }
 
 /// Width of a villus, a leaf `LEAF` times as long as wide, given the root of the area per villus [m].
 fn width(spacing: f32) -> f32 {
     spacing / LEAF.sqrt()
-}
-
-/// Tufts next to the size at which they stand out, given the pixels across a villus: indices of the
-/// smaller and the larger in `TUFTS`, and the weight of the larger.
-fn tuft_level(pixels: f32) -> ((usize, usize), f32) {
-    let level = clamp((TUFT / pixels).log2(), 0.0, TUFTS.len() as f32 - 1.0);
-    let below = (level as usize).min(TUFTS.len() - 2);
-    ((below, below + 1), level - below as f32)
 }

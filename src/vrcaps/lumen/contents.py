@@ -81,7 +81,7 @@ class Bubbles:
     stain: tuple[_NotNegative, _NotNegative, _NotNegative] = (0.0, 0.1, 0.4)
     meniscus: Annotated[float, Range(above=0.0, unit="m")] = 0.7 * MM
     shade: _Fraction = 0.75
-    ripple: Annotated[float, Range(0.0, 0.5)] = 0.15
+    ripple: Annotated[float, Range(0.0, 0.5)] = 0.22
     roughness: Annotated[float, Range(above=0.0, max=1.0)] = 0.005
     color: tuple[_Fraction, _Fraction, _Fraction] = (0.5, 0.34, 0.2)
 

@@ -129,9 +129,8 @@ MUCOSAE: dict[str, Mucosa] = {
         mucus=0.0,
         mucus_tint=(1.10, 1.5, 1.5),
         roughness=1.0,
-        clearcoat=0.1,
-        clearcoat_variation=0.9,
-        clearcoat_gloss=0.97,
+        clearcoat=0.08,
+        clearcoat_variation=0.5,
     ),
 }
 """Mucosae by organ."""

@@ -15,13 +15,13 @@ const WIDEST: f32 = 0.11;
 const INWARD: f32 = 1.5;
 /// Radius of curvature of the edges of folds, which the mesh is too coarse to have [m], by assumption,
 /// and its maximum in the image [px].
-const EDGE: f32 = 0.5e-3;
+const EDGE: f32 = 0.4e-3;
 const WIDEST_EDGE: f32 = 8.0;
 /// Difference of distances at an outline from which it is the edge of a fold [m].
 const EDGE_STEP: f32 = 3.0e-3;
-/// Optical density of an edge that is seen aslant, in red, green and blue: less in red, as tissue lets
-/// it through.
-const EDGE_COLOR: [f32; 3] = [0.8, 1.1, 1.2];
+/// Optical density of an edge that is edge-on, in red, green and blue: less in red, as tissue lets it
+/// through. The normals of the mesh contribute the rest. By eye.
+const EDGE_COLOR: [f32; 3] = [0.45, 0.6, 0.65];
 /// Pixels along villi up to which a fringe is a soft band, and from which its villi stand out.
 const FRINGE: [f32; 2] = [1.5, 3.5];
 /// Length over which the tip of a villus ends [px].
@@ -118,7 +118,7 @@ impl Seen<'_> {
     }
 
     /// Darkens the wall towards outlines as if the edges of folds were round: the LEDs are next to the
-    /// camera, so that the light of a wall falls with the cosine between its normal and the ray.
+    /// camera, so that the light of a wall falls as the cosine between its normal and the ray does.
     pub fn round(&self, outlines: &[usize], planes: &mut ArrayViewMut3<'_, f32>, focal: f32) {
         let columns = self.size.1;
         let radius = |pixel: usize| min(EDGE * focal / self.distance[pixel], WIDEST_EDGE);

@@ -9,7 +9,7 @@ import pytest
 from tests.support.small_frames import COUNT, LENS, SIDE, image_of, small_sequence
 from vrcaps.core.color import linear_from_srgb
 from vrcaps.core.errors import InputError
-from vrcaps.learn.augment import Augmentation, with_tone
+from vrcaps.learn.augment import Augmentation, with_shading, with_tone
 from vrcaps.learn.networks import Backbone
 from vrcaps.learn.picture_border import Letterbox
 from vrcaps.learn.samples import Samples, samples_of, split_samples
@@ -111,6 +111,19 @@ def test_a_tone_jitter_of_one_leaves_the_other_changes():
     )
     assert (lifted >= plain - 1).all()
     assert lifted.mean() > 1.5 * plain.mean()
+
+
+def test_shading_darkens_corners_by_its_ratio():
+    gray = np.full((65, 65, 3), 188, np.uint8)
+    light = linear_from_srgb(with_shading(gray, 4.0))[..., 0] / linear_from_srgb(gray)[0, 0, 0]
+    assert light[32, 32] == 1.0
+    assert light[0, 0] == pytest.approx(0.25, rel=0.03)
+    assert light[32, 0] == pytest.approx(0.5, rel=0.02)
+    np.testing.assert_array_equal(light, light.T)
+    np.testing.assert_array_equal(with_shading(gray, 1.0), gray)
+    shaded = Augmentation(1.0, 1.0, 1.0, shading_jitter=4.0)
+    corners = [shaded.recolor(gray, np.random.default_rng(k))[0, 0, 0] for k in range(20)]
+    assert 98 <= min(corners) < max(corners) - 40 <= 148
 
 
 def test_masks_of_one_kind_of_lesion():

@@ -53,10 +53,12 @@ class Augmentation:
     Attributes:
         exposure_jitter: Maximum change of exposure, as a factor: 1.3 is ± 30 %.
         color_jitter: Maximum change of each color channel, as a factor.
-        gamma_jitter: Maximum exponent. With 1 for all four jitters, colors are not changed.
+        gamma_jitter: Maximum exponent. With 1 for all five jitters, colors are not changed.
         min_crop: Minimum side of a random crop, relative to the image; 1 is the whole image.
         tone_jitter: Maximum slope in the dark of a tone curve that compresses highlights and keeps
             white; 1 is none.
+        shading_jitter: Maximum ratio of the light in the middle of an image to that in its corners,
+            as by another lens or LEDs; 1 is none.
     """
 
     exposure_jitter: Annotated[float, _JITTER] = 1.3
@@ -64,6 +66,7 @@ class Augmentation:
     gamma_jitter: Annotated[float, _JITTER] = 1.3
     min_crop: Annotated[float, Range(above=0.0, max=1.0)] = 0.6
     tone_jitter: Annotated[float, _JITTER] = 1.0
+    shading_jitter: Annotated[float, _JITTER] = 1.0
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -96,10 +99,12 @@ class Augmentation:
     def recolor(
         self, image: UInt8[np.ndarray, "h w 3"], rng: np.random.Generator
     ) -> UInt8[np.ndarray, "h w 3"]:
-        """Apply a random exposure, white balance, gamma and tone curve to an image."""
+        """Apply a random shading, exposure, white balance, gamma and tone curve to an image."""
         exposure = self.exposure_jitter ** rng.uniform(-1.0, 1.0)
         gain = exposure * self.color_jitter ** rng.uniform(-1.0, 1.0, 3)
         gamma = self.gamma_jitter ** rng.uniform(-1.0, 1.0)
+        if self.shading_jitter > 1.0:
+            image = with_shading(image, self.shading_jitter ** rng.uniform(0.0, 1.0))
         if self.tone_jitter > 1.0:
             image = with_tone(image, self.tone_jitter ** rng.uniform(0.0, 1.0))
         return with_gain(image, gain, gamma)
@@ -141,6 +146,16 @@ def with_tone(image: UInt8[np.ndarray, "h w 3"], slope: float) -> UInt8[np.ndarr
     """
     linear = linear_from_srgb(np.arange(256, dtype=np.uint8))
     return srgb_from_linear(slope * linear / (1.0 + (slope - 1.0) * linear))[image]
+
+
+def with_shading(image: UInt8[np.ndarray, "h w 3"], ratio: float) -> UInt8[np.ndarray, "h w 3"]:
+    """Darken an image towards its corners, in linear light, by exp(−r² ln `ratio`).
+
+    The distance r from the middle is 1 in the corners.
+    """
+    rows, columns = (np.linspace(-1.0, 1.0, size) for size in image.shape[:2])
+    factor = ratio ** (-0.5 * (rows[:, None] ** 2 + columns**2))
+    return srgb_from_linear(linear_from_srgb(image) * factor[..., None])
 
 
 def _with_maps(sample: Sample, change: Callable[[NDArray], NDArray]) -> Sample:

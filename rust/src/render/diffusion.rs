@@ -76,8 +76,8 @@ fn write_means(
     is_column: bool,
     means: &mut [Color],
 ) {
-    let (size, columns) = if is_column { points.size } else { (points.size.1, points.size.1) };
-    let step = if is_column { columns } else { 1 };
+    let (rows, columns) = points.size;
+    let (size, step) = if is_column { (rows, columns) } else { (columns, 1) };
     let first = row * columns + column;
     let widest = deviations.iter().fold(0.0, |a, &b| max(a, b));
     let mut distance = [f32::NAN; LANES];

@@ -283,7 +283,7 @@ fn integrate(
         scattered[i + 1] = scattered[i] + (ends[i + 1] - ends[i]) * forward;
     }
     let mut nodes = Box::new([[0.0; VALUES]; ENDS]);
-    let arriving = medium.arriving(rig, (ray, start), &ends, &depths);
+    let arriving = arriving(rig, (ray, start), &ends, &depths);
     for (i, node) in nodes.iter_mut().enumerate() {
         for k in 0..3 {
             (node[3 + k], node[6 + k]) = (exp(-depths[k][i]), arriving[k][i]);
@@ -302,36 +302,35 @@ fn integrate(
     nodes
 }
 
-impl Medium {
-    /// Fraction of the light of the LEDs that arrives at distances along a ray from its start, by
-    /// color, given the optical depths of the ray: extinction on the way from an LED is taken from it.
-    #[inline(always)]
-    fn arriving<const N: usize>(
-        &self,
-        rig: &Rig<'_>,
-        (ray, start): (Vec3, f32),
-        at: &[f32; N],
-        depths: &[[f32; N]; 3],
-    ) -> [[f32; N]; 3] {
-        let (mut lit, mut all) = ([[0.0; N]; 3], [[0.0; N]; 3]);
-        for led in &rig.leds {
-            let (arrives, ratio) = irradiance(led, (ray, start), at);
-            for k in 0..3 {
-                for i in 0..N {
-                    all[k][i] += led[6 + k] * arrives[i];
-                    lit[k][i] += led[6 + k] * arrives[i] * exp(-depths[k][i] * ratio[i]);
-                }
-            }
-        }
+/// Fraction of the light of the LEDs that arrives at distances along a ray from its start, by
+/// color, given the optical depths of the ray: extinction on the way from an LED is taken from it.
+#[inline(always)]
+fn arriving<const N: usize>(
+    rig: &Rig<'_>,
+    (ray, start): (Vec3, f32),
+    at: &[f32; N],
+    depths: &[[f32; N]; 3],
+) -> [[f32; N]; 3] {
+    let (mut lit, mut all) = ([[0.0; N]; 3], [[0.0; N]; 3]);
+    for led in &rig.leds {
+        let (arrives, ratio) = irradiance(led, (ray, start), at);
         for k in 0..3 {
             for i in 0..N {
-                let is_lit = all[k][i] > 0.0;
-                lit[k][i] = if is_lit { lit[k][i] / all[k][i] } else { exp(-depths[k][i]) };
+                all[k][i] += led[6 + k] * arrives[i];
+                lit[k][i] += led[6 + k] * arrives[i] * exp(-depths[k][i] * ratio[i]);
             }
         }
-        lit
     }
+    for k in 0..3 {
+        for i in 0..N {
+            let is_lit = all[k][i] > 0.0;
+            lit[k][i] = if is_lit { lit[k][i] / all[k][i] } else { exp(-depths[k][i]) };
+        }
+    }
+    lit
+}
 
+impl Medium {
     /// Radiance per scattering coefficient that points along a ray send to the camera, by color,
     /// after extinction on both paths, summed over all orders of scattering.
     #[inline(always)]

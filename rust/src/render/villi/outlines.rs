@@ -62,10 +62,8 @@ impl Seen<'_> {
         for y in 1..rows.saturating_sub(1) {
             for x in 1..columns.saturating_sub(1) {
                 let pixel = y * columns + x;
-                if self.length[pixel] == 0.0 || !self.has_villi(pixel) {
-                    continue;
-                }
-                if self.step(pixel) > STEP {
+                let has_fringe = self.length[pixel] > 0.0 && self.has_villi(pixel);
+                if has_fringe && self.step(pixel) > STEP {
                     found.push(pixel);
                 }
             }

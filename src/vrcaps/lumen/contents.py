@@ -50,15 +50,16 @@ class Bubbles:
             through the rest are refracted with the relative index 1/(1 − w).
         gleam: Fraction of light from the surroundings that the rim reflects.
         stain: Density of absorption in the rim for red, green and blue; bile absorbs blue.
-        meniscus: Radius up to which bubbles lie wholly in liquid [m]. Larger ones, of radius R,
+        meniscus: Radius up to which bubbles lie wholly in liquid [m]; the default is the capillary
+            length of water with bile, whose surface tension is 0.04 N/m. Larger ones, of radius R,
             emerge; rim, refraction and shade fade by ``√(meniscus/R)``. Bubbles above a fifth of it
             lie lower on the wall.
-        shade: Fraction of its light that the wall below a bubble in liquid loses next to the rim;
-            in the middle it loses two fifths of that. The bubble is a diverging lens of focal
-            length 1.5 R: 0.59 on its axis, 0.85 R below its center, if tissue does not spread
-            the light.
+        shade: Fraction of its light that the wall below a large bubble in liquid loses next to the
+            rim; in the middle it loses a third of that, and less below a small bubble. The bubble
+            is a diverging lens of focal length 1.5 R: 0.59 on its axis, 0.85 R below its center, if
+            tissue does not spread the light.
         ripple: RMS slope of its deviations from a sphere, which displace and distort the images
-            of the LEDs. Width and brightness of the rim vary around a bubble anyway.
+            of the LEDs. Width and brightness of the rim and the shade vary with it as well.
         roughness: Roughness α of the film in the specular reflection of an LED.
         color: Linear color of the surroundings reflected by the film, with the wall behind.
     """
@@ -67,20 +68,20 @@ class Bubbles:
     prevalence: _Fraction = 1.0
     raft_size: Annotated[float, Range(min=1.0, below=1e3)] = 6.0
     radius: float = 0.5 * MM
-    spread: _NotNegative = 0.65
+    spread: _NotNegative = 0.75
     smallest: float = 0.05 * MM
-    largest: float = 1.5 * MM
+    largest: float = 2.5 * MM
     rising: _Fraction = 0.4
     burst_rate: _NotNegative = 0.02
     on_dome: Annotated[int, Range(0, 1000)] = 0
     landing_rate: _NotNegative = 2.0
     release_rate: _NotNegative = 0.05
     ior: Annotated[float, Range(above=1.0, below=3.0)] = 1.333
-    border: Annotated[float, Range(above=0.0, below=1.0)] = 0.13
-    gleam: _Fraction = 0.9
+    border: Annotated[float, Range(above=0.0, below=1.0)] = 0.07
+    gleam: _Fraction = 1.0
     stain: tuple[_NotNegative, _NotNegative, _NotNegative] = (0.0, 0.1, 0.4)
-    meniscus: Annotated[float, Range(above=0.0, unit="m")] = 0.7 * MM
-    shade: _Fraction = 0.75
+    meniscus: Annotated[float, Range(above=0.0, unit="m")] = 2.0 * MM
+    shade: _Fraction = 1.0
     ripple: Annotated[float, Range(0.0, 0.5)] = 0.22
     roughness: Annotated[float, Range(above=0.0, max=1.0)] = 0.005
     color: tuple[_Fraction, _Fraction, _Fraction] = (0.5, 0.34, 0.2)

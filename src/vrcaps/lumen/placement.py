@@ -32,12 +32,12 @@ has emerged from the liquid is a hemisphere."""
 _LAYER = 0.2
 """Thickness of the liquid on a wall relative to the size of the meniscus that it forms around a
 bubble."""
-_TOUCH = 0.88
+_TOUCH = 0.93
 """Distance between neighbors in a raft as a fraction of the sum of their radii; they share a flat
 wall."""
 _LONGEST = 5.0
 """Maximum ratio of the length of a raft, along a crease, to its width."""
-_MANY = 8.0
+_MANY = 16.0
 """Number of bubbles from which a raft may contain any size; in smaller rafts the maximum radius is
 proportional to the root of their number, because large bubbles form where small ones coalesce."""
 _LIFT_CHYME = 0.4

@@ -75,7 +75,7 @@ PREVALENCES: Mapping[str, Prevalence] = MappingProxyType(
         "small-bowel": Prevalence(
             {None: 0.92, "normal": 0.08},
             (1.0, 1.3),
-            bubbles=0.25,
+            bubbles=0.3,
             chyme=0.08,
             medium=0.35,
             stain=1.0,
@@ -164,7 +164,7 @@ def _fraction(mean: float, rng: np.random.Generator) -> float:
 def _bubbles(mean: float, rng: np.random.Generator) -> Bubbles | int:
     """Bubbles of one patient: single ones up to foam, where there are any."""
     prevalence, foam = _fraction(mean, rng), float(rng.uniform())
-    per_area = 25.0 * 4.0**foam  # 25 to 100 per cm²
+    per_area = 25.0 * 6.0**foam  # 25 to 150 per cm²
     raft = 8.0 * 10.0**foam
     radius = 0.36 * MM * 0.5**foam
     if prevalence == 0.0:

@@ -126,7 +126,7 @@ impl Film {
         let zero = [0.0; LANES];
         let mut shell = Shell { film: [zero; 2], rim: zero, shade: [1.0; LANES] };
         let (inverse, least) = (1.0 / sphere.radius, min(blur, 1.0));
-        let rim = Rim::new(self, self.sunk(sphere), blur);
+        let rim = Rim::new(self, sphere, blur);
         for i in 0..LANES {
             // A pixel at the outline covers a range of angles, at least its own width.
             shell.film[1][i] = self.film(max(1.0 - crossings.miss[i], least).sqrt());
@@ -156,8 +156,8 @@ impl Film {
 
     /// Part of a bubble that lies in liquid: 1 up to the size of the meniscus, above which it emerges.
     #[inline(always)]
-    pub fn sunk(&self, sphere: &Sphere) -> f32 {
-        min((self.meniscus / sphere.radius).sqrt(), 1.0)
+    pub fn sunk(&self, radius: f32) -> f32 {
+        min((self.meniscus / radius).sqrt(), 1.0)
     }
 }
 
@@ -206,7 +206,7 @@ fn shaded(radiance: Vec3, shade: f32) -> Vec3 {
 const LEAST: f32 = 0.12;
 
 /// Weight of a wall that faces the LEDs in the radiance of reflections.
-const OWN_PART: f32 = 0.3;
+const OWN_PART: f32 = 0.6;
 
 /// Weight of the bubble's color in the hue of its reflections.
 const OWN_HUE: f32 = 0.2;

@@ -189,6 +189,22 @@ def test_a_bubble_in_liquid_has_a_rim_and_shade() -> None:
     assert np.median(brighter[(apart > 0.78) & (apart < 0.85)]) < rim - 0.1
 
 
+def test_the_shade_differs_with_size_and_with_ripple() -> None:
+    """Large bubbles darken the wall below more than small ones, unevenly if they have a ripple."""
+    scene, center = Scene(240, led=(0.0, -4.0 * MM, 0.0)), np.array([0.0, 0.0, 4.0 * MM])
+    even = replace(Bubbles(), ripple=0.0, gleam=0.0, stain=(0.0, 0.0, 0.0))
+
+    def inside(bubbles: Bubbles, radius: float) -> np.ndarray:
+        ratio = (scene.radiance(bubbles, center, radius) / scene.empty())[..., 0]
+        apart = np.sqrt(scene.miss(center, radius))
+        return np.where((apart > 0.4) & (apart < 0.8), ratio, np.nan)
+
+    small, large = (np.nanmedian(inside(even, radius)) for radius in (0.2 * MM, 1.5 * MM))
+    assert large < small - 0.1
+    uneven = inside(replace(even, ripple=0.22), 1.5 * MM) / inside(even, 1.5 * MM)
+    assert np.nanpercentile(uneven, 90) > 1.2 * np.nanpercentile(uneven, 10)
+
+
 def test_a_bubble_in_liquid_refracts_the_wall_behind_it() -> None:
     """Snell's law at both surfaces turns a ray by 2 (arcsin nb - arcsin b) at b of the radius.
 

@@ -156,8 +156,8 @@ impl Film {
 
     /// Part of a bubble that lies in liquid: 1 up to the size of the meniscus, above which it emerges.
     #[inline(always)]
-    pub fn sunk(&self, radius: f32) -> f32 {
-        min((self.meniscus / radius).sqrt(), 1.0)
+    pub fn sunk(&self, sphere: &Sphere) -> f32 {
+        min((self.meniscus / sphere.radius).sqrt(), 1.0)
     }
 }
 

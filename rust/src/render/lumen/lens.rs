@@ -82,6 +82,6 @@ impl Film {
     /// totally reflected where its rim is: 1 for one that has emerged.
     #[inline(always)]
     fn lens_index(&self, sphere: &Sphere) -> f32 {
-        1.0 / (1.0 - self.border * self.sunk(sphere.radius))
+        1.0 / (1.0 - self.border * self.sunk(sphere))
     }
 }

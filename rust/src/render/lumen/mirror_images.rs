@@ -98,7 +98,7 @@ impl Film {
     #[inline(always)]
     fn reflects(&self, sphere: &Sphere, cosine: f32) -> f32 {
         let film = self.film(cosine);
-        film + (fresnel(cosine, self.ior) - film) * self.sunk(sphere.radius)
+        film + (fresnel(cosine, self.ior) - film) * self.sunk(sphere)
     }
 
     /// Unit normals of the rippled shell where the rays cross it, and the variance of the normals

@@ -48,11 +48,12 @@ impl Rim {
     /// a meniscus with a radius of curvature r around a sphere of radius R is of the order of √(r R).
     #[inline(always)]
     pub fn new(film: &Film, sphere: &Sphere, blur: f32) -> Self {
-        let (radius, sunk) = (sphere.radius, film.sunk(sphere.radius));
+        let (radius, sunk) = (sphere.radius, film.sunk(sphere));
         let uneven = min(film.ripple / TYPICAL, 1.0);
         let width = film.border * sunk;
         let soft = max(0.25 * width, blur);
         let seen = min(width / soft, 1.0);
+        // Some bubbles darken the wall below less than others.
         let clear = 0.3 * uneven * (1.0 - wave(sphere.phases[2]).0);
         Rim {
             width,

@@ -165,9 +165,10 @@ def test_gaps_between_villi_are_a_dark_network():
     density = -np.log(planes)
     assert np.allclose(density[0], 0.45 * density[1], atol=1e-5)
     assert np.allclose(density[2], 1.1 * density[1], atol=1e-5)
-    # The density of a gap is 0.7 relative to the tip of a villus; from the front, 0.45 times that.
+    # The density of a gap is 0.7 relative to the tip of a villus, at most 2.5 times that in a patch;
+    # from the front, 0.45 times that.
     assert abs(density[1].mean()) < 0.02 * 0.7
-    assert 0.9 * 0.315 < np.ptp(density[1]) < 1.001 * 0.315
+    assert 0.9 * 0.315 < np.ptp(density[1]) < 2.5 * 1.001 * 0.315
     is_gap = density[1] > 0.0
     # Gaps across a line as long as the spacing of villi, on average: fewer along the leaves.
     starts = [np.maximum(np.diff(is_gap.astype(int), axis=axis), 0).mean() for axis in (0, 1)]
@@ -177,12 +178,21 @@ def test_gaps_between_villi_are_a_dark_network():
     assert across > 1.7 * along
 
 
+def test_the_density_of_gaps_differs_between_patches():
+    density = -np.log(_raised(_channels(), gaps=0.7, scale=2.0)[1, :390, 1:_FLAT])
+    # Tiles of 2.4 by 4.1 mm, in patches of 5 mm; of equal gaps, tiles differ by 11 %.
+    spread = density.reshape(13, 30, -1).std(axis=(1, 2))
+    assert spread.max() > 1.8 * spread.min()
+    assert spread.min() > 0.01
+
+
 def test_gaps_of_villi_near_the_dome_are_fainter():
-    """Villi of 7.1 pixels have 0.48 of the gaps of villi of 3.5 pixels."""
+    """Villi of 7.1 pixels have 0.48 of the gaps of villi of 3.5 pixels, at the same place."""
     far, near = (
         -np.log(_raised(_channels(), gaps=0.7, scale=scale)[1, 1:-1, 1:_FLAT])
         for scale in (2.0, 1.0)
     )
+    far = far[: len(near) // 2, : _FLAT // 2]
     assert np.ptp(near) == pytest.approx(0.48 * np.ptp(far), rel=0.05)
 
 

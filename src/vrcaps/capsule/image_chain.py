@@ -91,10 +91,10 @@ class ImageChain:
     """
 
     aperture: Annotated[float, Range(above=0.0, below=0.01, unit="m")] = field(
-        default=0.6 * MM, metadata={"unit": "mm"}
+        default=0.4 * MM, metadata={"unit": "mm"}
     )
     focus_distance: Annotated[float, Range(above=0.0, unit="m")] = field(
-        default=15.0 * MM, metadata={"unit": "mm"}
+        default=10.0 * MM, metadata={"unit": "mm"}
     )
     lens_shading: Triple = (-1.15, 0.35, 0.0)
     cosine_power: Annotated[float, Range(min=0.0, max=16.0)] = 0.0
@@ -112,7 +112,7 @@ class ImageChain:
     contrast: Annotated[float, Range(min=0.25, max=4.0)] = 1.35
     luma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 0.64
     chroma_denoising_px: Annotated[float, Range(min=0.0, max=10.0, unit="px")] = 1.0
-    sharpening: Annotated[float, Range(min=0.0, max=10.0)] = 2.3
+    sharpening: Annotated[float, Range(min=0.0, max=10.0)] = 1.8
     sharpening_radius_px: Annotated[float, Range(min=0.3, max=10.0, unit="px")] = 2.0
     jpeg_quality: Annotated[int, Range(min=0, max=100)] = 75
     exposure_tolerance: Annotated[float, Range(min=0.0, max=1.0)] = 0.3

@@ -52,7 +52,7 @@ _TRIES = {2: 12, 3: 2}
 """Random positions tried for each sphere of a raft or a clump: few, so that clumps branch."""
 _SLENDER = 4.0
 """Maximum ratio of the length of a clump, around the gut, to its width."""
-_CREASES, _FOLD = 4, 4.0 * MM
+_CREASES, _FOLD = 10, 4.0 * MM
 """Positions tried for each raft of bubbles, and half their distance along the gut [m]."""
 _MOST = 10_000_000
 """Maximum expected number of bubbles or of particles in an organ, which limits memory."""

@@ -84,8 +84,8 @@ def _aspect(organ: OrganSurface) -> Float[np.ndarray, " m"]:
     return ratio.astype(np.float32)
 
 
-VILLUS_SPACING = 0.16 * MM
-"""Root of the area per villus at rest: 40 per mm², the upper end of the range of 20 to 40."""
+VILLUS_SPACING = 0.18 * MM
+"""Root of the area per villus at rest: 31 per mm², in the middle of the range of 20 to 40."""
 
 SLACK_WIDTH = 0.6
 """Width of a slack wall, relative to that at rest, at which its villi are as long as wide: between
@@ -97,7 +97,7 @@ blue light: a fifth, chosen by eye, of the diffusion length 1/√(3 µa (µa + �
 `reduced_scattering` at 600, 545 and 470 nm, µa gives the mean colors 0.33, 0.18 and 0.12 of its
 mucosa."""
 
-GAP_DENSITY = 2.35
+GAP_DENSITY = 1.3
 """Optical density in green of the gaps between villi relative to their tips; chosen so that the
 texture of recorded frames approaches that of real frames (`vrcaps compare-looks`)."""
 

@@ -209,7 +209,7 @@ const LEAST: f32 = 0.12;
 const OWN_PART: f32 = 0.6;
 
 /// Weight of the bubble's color in the hue of its reflections.
-const OWN_HUE: f32 = 0.2;
+const OWN_HUE: f32 = 0.6;
 
 /// Maximum distance from a bubble to the wall that it mirrors [m]: that of a bubble on the lens.
 const MOST_ROOM: f32 = 0.01;

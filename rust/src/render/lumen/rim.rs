@@ -75,12 +75,12 @@ impl Rim {
     #[inline(always)]
     pub fn at(&self, edge: f32, waves: [f32; 2]) -> (f32, f32) {
         let waves = waves.map(|wave| self.uneven * wave);
-        let edge = edge * (1.0 + 0.45 * waves[0]);
+        let edge = edge * (1.0 + 0.6 * waves[0]);
         let inside = edge - self.width;
         let inner = smooth((inside + self.soft) * self.per_soft);
         let place = min(edge * self.per_width, 1.0);
         let ridge = 4.0 * place * (1.0 - place);
-        let profile = (0.3 + 0.7 * ridge * ridge) * (0.75 + 0.4 * waves[1]);
+        let profile = (0.3 + 0.7 * ridge * ridge) * (0.7 + 0.6 * waves[1]);
         let near = bump(inside / DARK);
         let outline = self.outline * bump(2.5 * edge * self.narrow);
         let loss = (MIDDLE + (1.0 - MIDDLE) * near) * (1.0 + 0.55 * waves[1]);

@@ -9,31 +9,37 @@
 
 mod outlines;
 
-use crate::mucosa::noise::{Cells, Lattice, Vec3, exp, smoothstep};
+use crate::mucosa::noise::{Cells, DEVIATION, Lattice, Vec3, exp, smoothstep};
 use crate::mucosa::strokes::{LEAF, Strokes, leaf_space};
 use crate::pool::on_pool;
 use crate::render::diffusion::Points;
-use crate::simd::f32x64::{LANES, Lane, Lane3, dot, max, sub};
+use crate::simd::f32x64::{LANES, Lane, Lane3, clamp, dot, max, sub};
 use numpy::ndarray::{ArrayView2, ArrayViewMut3, Axis};
 use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// Seeds of the cells, and of the variation of the lengths and of the gaps.
-const SEEDS: [u32; 3] = [0x7669_6c6c, 0x7669_6c68, 0x7669_6c67];
+/// Seeds of the cells, and of the variation of the lengths, of the gaps and of their density.
+const SEEDS: [u32; 4] = [0x7669_6c6c, 0x7669_6c68, 0x7669_6c67, 0x7669_6c70];
+/// Size of patches of like density of gaps [m], standard deviation of the density over them relative
+/// to its mean, and the range of this ratio; chosen by eye. Mucus fills gaps in places, and villi lie
+/// flat in others.
+const PATCH: f32 = 5e-3;
+const PATCHINESS: f32 = 0.7;
+const DENSITIES: [f32; 2] = [0.1, 2.5];
 /// Pixels across villi below which gaps are invisible, and from which they are drawn fully.
-const RESOLVED: [f32; 2] = [1.1, 1.9];
+const RESOLVED: [f32; 2] = [0.9, 1.5];
 /// Pixels across villi from which, and up to which, gaps fade to `PRESSED` of their density: villi so
 /// near to the camera lie against the dome, which closes the gaps between them.
 const NEAR: [f32; 2] = [4.0, 8.0];
 const PRESSED: f32 = 0.4;
 /// Ratio of the sides of a pixel on that shape of the wall up to which gaps are invisible, and from
 /// which they are drawn fully: where a wall is gathered or pulled, gaps would be streaks.
-const ROUND: [f32; 2] = [0.25, 0.5];
+const ROUND: [f32; 2] = [0.2, 0.4];
 /// Spacing of the lattice of strokes [spacings of villi].
-const STROKES: f32 = 1.2;
+const STROKES: f32 = 0.9;
 /// Part of the gaps that surrounds each villus; the rest are strokes.
-const AROUND: f32 = 0.65;
+const AROUND: f32 = 0.5;
 /// Difference of the distances to the nearest two centers at which the gap around a villus ends
 /// [cells], and the mean depth of such gaps.
 const GAP: f32 = 0.45;
@@ -186,6 +192,7 @@ impl<'a> Seen<'a> {
         let width = width(spacing);
         let strokes = Strokes::new(Lattice::new(SEEDS[2], STROKES * spacing));
         let cells = Cells::new(SEEDS[0], spacing);
+        let patches = Lattice::new(SEEDS[3], PATCH);
         let columns = self.size.1;
         let mut lines: Vec<_> = planes.axis_iter_mut(Axis(1)).collect();
         lines.par_iter_mut().enumerate().for_each(|(y, line)| {
@@ -204,6 +211,10 @@ impl<'a> Seen<'a> {
                 }
                 if !any {
                     continue;
+                }
+                for (weight, value) in weights.iter_mut().zip(patches.gradients(&lanes)) {
+                    let density = 1.0 + PATCHINESS / DEVIATION * value;
+                    *weight *= clamp(density, DENSITIES[0], DENSITIES[1]);
                 }
                 let remaining = remaining(&strokes, &cells, &lanes, &weights);
                 for i in 0..LANES.min(columns - start) {

@@ -165,7 +165,7 @@ def test_gaps_between_villi_are_a_dark_network():
     density = -np.log(planes)
     assert np.allclose(density[0], 0.45 * density[1], atol=1e-5)
     assert np.allclose(density[2], 1.1 * density[1], atol=1e-5)
-    # The density of a gap is 0.7 relative to the tip of a villus, at most 2.5 times that in a patch;
+    # The density of a gap is 0.7 relative to the tip of a villus, up to 2.5 times that in a patch;
     # from the front, 0.45 times that.
     assert abs(density[1].mean()) < 0.02 * 0.7
     assert 0.9 * 0.315 < np.ptp(density[1]) < 2.5 * 1.001 * 0.315

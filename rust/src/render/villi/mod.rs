@@ -212,11 +212,7 @@ impl<'a> Seen<'a> {
                 if !any {
                     continue;
                 }
-                for (weight, value) in weights.iter_mut().zip(patches.gradients(&lanes)) {
-                    let density = 1.0 + PATCHINESS / DEVIATION * value;
-                    *weight *= clamp(density, DENSITIES[0], DENSITIES[1]);
-                }
-                let remaining = remaining(&strokes, &cells, &lanes, &weights);
+                let remaining = remaining(&strokes, &cells, &patches, &lanes, &weights);
                 for i in 0..LANES.min(columns - start) {
                     for k in 0..3 {
                         line[[k, start + i]] *= remaining[k][i];
@@ -254,19 +250,29 @@ impl<'a> Seen<'a> {
     }
 }
 
-/// Fraction of the light of points that gaps between villi leave, by color, for densities of the gaps.
+/// Fraction of the light of points that gaps between villi leave, by color, for mean densities of the
+/// gaps.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn remaining(strokes: &Strokes, cells: &Cells, points: &Lane3, weights: &Lane) -> Lane3 {
+fn remaining(
+    strokes: &Strokes,
+    cells: &Cells,
+    patches: &Lattice,
+    points: &Lane3,
+    weights: &Lane,
+) -> Lane3 {
     let depths = strokes.depths(points);
+    let patches = patches.gradients(points);
     let borders = cells.borders(&leaf_space(points, LEAF));
     let mut remaining = [[0.0; LANES]; 3];
     for i in 0..LANES {
         let around = 1.0 - smoothstep(0.0, GAP, borders[i]) - MEAN_GAP;
-        let density = weights[i] * (depths[i] + AROUND * (around - depths[i]));
+        let patch = 1.0 + PATCHINESS / DEVIATION * patches[i];
+        let weight = weights[i] * clamp(patch, DENSITIES[0], DENSITIES[1]);
+        let density = weight * (depths[i] + AROUND * (around - depths[i]));
         for k in 0..3 {
             remaining[k][i] = exp(-GAP_COLOR[k] * density);
         }

@@ -23,8 +23,12 @@ def table(head: list[str], rows: list[list[str]]) -> str:
 
 def kinds() -> str:
     """Each kind with its grades and settings."""
-    rows = [[f"`{kind}`", *describe_kind(cls)] for kind, cls in sorted(LESIONS.items())]
-    return table(["kind", "grades", "settings"], rows)
+    rows = []
+    for kind, cls in sorted(LESIONS.items()):
+        grades, settings = describe_kind(cls)
+        key = f"`{cls.grade_field}`" if cls.grade_field else ""
+        rows.append([f"`{kind}`", grades, key, settings])
+    return table(["kind", "grades", "key of the grade in a file", "settings"], rows)
 
 
 def library() -> str:

@@ -18,6 +18,7 @@ mod render;
 mod simd;
 mod tissue;
 mod wall;
+mod waves;
 mod world;
 
 use pyo3::prelude::*;
@@ -60,6 +61,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(mesh::self_intersection::intersecting_triangles, m)?)?;
     m.add_function(wrap_pyfunction!(mesh::turned::turned_triangles, m)?)?;
     m.add_function(wrap_pyfunction!(mesh::texels::covered_texels, m)?)?;
+    m.add_function(wrap_pyfunction!(waves::sum_wave_tables, m)?)?;
     m.add_function(wrap_pyfunction!(metrics::coverage::mark_seen, m)?)?;
     m.add_function(wrap_pyfunction!(wall::distances::wall_distances, m)?)?;
     m.add_class::<metrics::point_coverage::WallPoints>()?;

@@ -428,6 +428,12 @@ def intersecting_triangles(
 def turned_triangles(
     vertices: NDArray[np.float64], faces: NDArray[np.int64]
 ) -> NDArray[np.int64]: ...
+def sum_wave_tables(
+    tables: NDArray[np.float64],
+    step: float,
+    arc_length: NDArray[np.float64],
+    theta: NDArray[np.float64],
+) -> NDArray[np.float64]: ...
 def covered_texels(
     corners: NDArray[np.float64], margin: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]: ...

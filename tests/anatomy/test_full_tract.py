@@ -11,6 +11,7 @@ import sys
 import numpy as np
 import pytest
 
+from vrcaps import _core
 from vrcaps.anatomy import full_tract as generate_module
 from vrcaps.anatomy.full_tract import generate_full_tract, soften, stitch, without_vertices
 from vrcaps.anatomy.full_tract.patient import (
@@ -223,6 +224,19 @@ def test_summed_waves_are_their_sines():
     few = slice(0, 40)
     assert np.allclose(sum_waves(waves, s[few], theta[few]), one_by_one[few])
     assert sum_waves(waves, s[:0], theta[:0]).shape == (0,)
+
+
+def test_tables_of_waves_are_not_read_beyond_their_ends():
+    def total(end: float, num_angles: int = 2) -> np.ndarray:
+        s = np.array([1.0, end])
+        return _core.sum_wave_tables(np.ones((3, 2, 2)), 0.5, s, np.zeros(num_angles))
+
+    assert np.allclose(total(1.99), 2.0)  # the imaginary parts of both tables
+    for end in (2.0, np.inf):
+        with pytest.raises(ValueError, match="beyond the tables"):
+            total(end)
+    with pytest.raises(ValueError, match="as many angles"):
+        total(1.5, num_angles=3)
 
 
 def test_waves_have_the_asked_deviation_and_close_around_the_tube():

@@ -293,6 +293,7 @@ lobe_exponent = 0
         ("cx_px = 31.5", "cx_px = 31.45", "no pixel of the image is in the lens's field."),
         ("[2, 1.5, 1]", "[2, -1, 1]", "intensity is (0.002, -0.001, 0.001). Allowed: 0 or above."),
         ("lobe_exponent = 1", "lobe_exponent = -1", "lobe_exponent is -1.0. Allowed: 0 or above."),
+        ("cameras.led_rings", "cameras.led_ring", "Unknown key led_ring. Did you mean led_rings?"),
         (
             "angles_deg = [0, 90, 180, 270]",
             "angles_deg = []",

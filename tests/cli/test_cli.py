@@ -221,7 +221,7 @@ def test_all_settings_are_listed_with_type_unit_and_default(capsys) -> None:
         ("organ inspect colom", "No organ named 'colom'. Known: "),
         ("organ inspect colon --seed -1", "Seed is -1. Allowed: 0 to 18446744073709551615"),
         ("organ inspect colon --picture {tmp}/a.txt", "Allowed: .png, .jpg, .pdf, .svg"),
-        ("record --out {tmp}/o --organ {tmp}/none.glb", "unit is missing"),
+        ("record --out {tmp}/o --organ {tmp}/none.glb", "none.glb: No such file"),
         ("organ make liver", "No organ named 'liver'. Known: "),
         ("organ make colon --out {tmp}/colon.stl", "Allowed: a name that ends in .glb"),
         ("check {tmp}/none", "No folder at"),

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from decimal import Decimal
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from vrcaps.magnet.magnets import SHAPES
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import Block, Cylinder, InternalMagnet, Magnet, Ring, Sphere
 
+_LED_RINGS = "led_rings"
 _MAX_LED_DISTANCE = 0.2
 """Maximum distance of an LED from its camera [m]; beyond, a file is in another unit."""
 
@@ -144,10 +146,12 @@ def write_device(path: Path, device: Device) -> None:
 
 
 def _expand_camera(plain: dict[str, Any]) -> dict[str, Any]:
-    rings = plain.pop("led_rings", None)
+    rings = plain.pop(_LED_RINGS, None)
+    for key in get_close_matches(_LED_RINGS, plain, 1, cutoff=0.8):
+        raise InputError(f"Unknown key {key}. Did you mean {_LED_RINGS}?")
     if rings is None:
         return plain
-    expanded = from_plain(tuple[LedRing, ...], rings, at="led_rings", units=True)
+    expanded = from_plain(tuple[LedRing, ...], rings, at=_LED_RINGS, units=True)
     return {
         **plain,
         "leds": [*plain.get("leds", []), *(led for ring in expanded for led in ring.leds)],

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 _MIN_IMAGES = 12
 """Minimum of --max-images, so that halves of the real set can be compared."""
+_FEW = 50
+"""Number of images of a set below which their distance is uncertain."""
 _SECOND_REAL, _HALVES = "second real", "halves of the real set"
 _TAKEN = (_SECOND_REAL, _HALVES, "statistic", "meaning", "real, 10 to 90 %")
 """Names of rows and columns of the tables."""
@@ -131,16 +133,24 @@ class CompareLooks:
         unit = next((one.pooled for one in results if one.name == _SECOND_REAL), None)
         rows = rows_of((*results, *floor), unit)
         rows[-1]["set"] = _HALVES
-        table = Table(*rows[0])
-        for row in rows:
-            table.add_row(*row.values())
+        # A column per set fits into 80 characters.
+        head, *lines = zip(rows[0], *(row.values() for row in rows), strict=True)
+        table = Table(*head)
+        for line in lines:
+            table.add_row(*line)
         console.print(table)
+        few = [f"{name} {num}" for name, one in sets.items() if (num := len(one.images)) < _FEW]
+        if few:
+            console.print(
+                f"Few images: {', '.join(few)}. The intervals do not include the error of small "
+                f"sets; give {_FEW} or more."
+            )
         if unit is not None and unit <= 0.0:
             console.print(
                 f"No R: the pooled KID of the {_SECOND_REAL} set is {unit:.2f}, not above 0."
             )
         if folder is not None:
-            write_report(folder, real, sets["ours"], results, unit)
+            write_report(folder, real, sets["ours"], results, rows)
 
     def _read(self, name: str, source: str) -> ImageSet:
         from vrcaps.formats import read_source

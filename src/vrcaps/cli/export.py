@@ -62,7 +62,8 @@ class Export:
         with progress_bar("exporting") as progress:
             export(form, sequences, self.out, progress=progress)
         frames = sum(map(len, sequences))
-        console.print(f"Wrote {len(sequences)} sequences, {frames} frames, into {self.out}.")
+        noun = "sequence" if len(sequences) == 1 else "sequences"
+        console.print(f"Wrote {len(sequences)} {noun}, {frames} frames, into {self.out}.")
 
 
 def __getattr__(kind: str) -> Any:

@@ -48,7 +48,7 @@ _PICTURES = (".png", ".jpg", ".pdf", ".svg")
 
 @dataclass(frozen=True)
 class Inspect:
-    """Measure an organ and draw it: outside, inside each segment, unrolled, diameter, lesions.
+    """Measure an organ and draw it: outside, inside each segment, unrolled, width, lesions.
 
     The organ is a mesh file, which is first repaired as for a recording (every repair is listed),
     an organ file written by vrcaps, or a generated organ.
@@ -249,7 +249,10 @@ def _rows(facts: OrganMeasures) -> list[tuple[str, str]]:
         ("lumen volume", f"{facts.volume / CM**3:.0f} ml"),
         ("wall area", f"{facts.area / CM**2:.0f} cm²"),
         ("length", f"{facts.length / CM:.1f} cm along the centerline"),
-        ("diameter", f"{diameter[1]} mm (median), from {diameter[0]} to {diameter[2]} mm"),
+        (
+            "inscribed ball",
+            f"{diameter[1]} mm in diameter (median), from {diameter[0]} to {diameter[2]} mm",
+        ),
     ]
     if len(facts.diameter_by_segment) > 1:
         rows += [

@@ -97,7 +97,8 @@ class LumenContents:
             at_rest: Vertices of the wall at rest, in the same frame [m].
         """
         corners, weights = anchors
-        moved = np.einsum("nk,nki->ni", weights, vertices[corners] - at_rest[corners])
+        offset = vertices.take(corners, axis=0) - at_rest.take(corners, axis=0)
+        moved = np.einsum("nk,nki->ni", weights, offset)
         return replace(self, spheres=self.spheres.at(self.spheres.centers + moved))
 
     def around_capsule(

@@ -189,7 +189,8 @@ def drop_unused_vertices(mesh: Mesh) -> Mesh:
 
 def area_vectors(mesh: Mesh) -> Float[np.ndarray, "m 3"]:
     """Area of each face times its unit normal [m²]."""
-    return 0.5 * triangle_normals(mesh.vertices[mesh.faces])
+    # Rows are taken in half the time of an index.
+    return 0.5 * triangle_normals(mesh.vertices.take(mesh.faces, axis=0))
 
 
 def face_areas(mesh: Mesh) -> Float[np.ndarray, " m"]:

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps import _core
+
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
@@ -62,16 +64,14 @@ def sum_waves(
     if len(rows) > len(arc_length):
         amplitude, wavenumber, lobes, phase = waves.T[:, :, None]
         return (amplitude * np.sin(wavenumber * arc_length + lobes * theta + phase)).sum(axis=0)
-    row, between = np.divmod((arc_length - arc_length.min()) / step, 1.0)
-    row = row.astype(int)
-    once = np.cos(theta) + 1j * np.sin(theta)
-    total, winding = np.zeros(len(arc_length)), np.ones_like(once)
-    for count in range(int(np.abs(waves[:, 2]).max()) + 1):
-        table = np.zeros(len(rows), complex)
-        for amplitude, wavenumber, lobes, phase in waves[np.abs(waves[:, 2]) == count]:
-            angle = wavenumber * (arc_length.min() + step * rows) + phase
-            # −conj(exp(i x)) represents the waves of the opposite winding.
-            table += amplitude * (np.copysign(1.0, lobes) * np.cos(angle) + 1j * np.sin(angle))
-        total += ((table[row] + between * np.diff(table, append=0.0)[row]) * winding).imag
-        winding = winding * once
-    return total
+    lobes = np.abs(waves[:, 2]).astype(int)
+    tables = np.zeros((len(rows), lobes.max() + 1), complex)
+    for (amplitude, wavenumber, winding, phase), count in zip(waves, lobes, strict=True):
+        angle = wavenumber * (arc_length.min() + step * rows) + phase
+        # −conj(exp(i x)) represents the waves of the opposite winding.
+        tables[:, count] += amplitude * (
+            np.copysign(1.0, winding) * np.cos(angle) + 1j * np.sin(angle)
+        )
+    parts = tables.view(float).reshape(*tables.shape, 2)
+    places = np.broadcast_arrays(arc_length, theta)
+    return _core.sum_wave_tables(parts, step, *(np.ascontiguousarray(x, float) for x in places))

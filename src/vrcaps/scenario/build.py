@@ -11,7 +11,7 @@ import numpy as np
 
 from vrcaps.capsule.device import Device
 from vrcaps.config.convert import to_plain
-from vrcaps.core.errors import InputError, require_extra
+from vrcaps.core.errors import InputError, reading, require_extra
 from vrcaps.core.fields import path_of, with_checksums
 from vrcaps.core.units import LENGTH_UNITS
 from vrcaps.lesion import Lesion, LesionPair, add_lesions, lesion_rng
@@ -259,6 +259,8 @@ def resolve_organ(organ: Organ) -> Organ:
         return organ
     if isinstance(organ, OrganFile) and not organ.unit:
         if not is_organ_file(path_of(organ.path)):
+            with reading(path_of(organ.path)):
+                path_of(organ.path).stat()
             raise InputError(
                 f"unit is missing: {path_of(organ.path)} does not state its unit. Allowed: "
                 f"{', '.join(LENGTH_UNITS)}, or e.g. 5cm."

@@ -74,8 +74,9 @@ def test_the_blind_sheet_holds_each_image_once(real: DescribedSet):
 def test_the_report_states_all_sets(real: DescribedSet, tmp_path: Path):
     ours = described("ours", 40, 1.0, 1)
     results = compare(real, [ours])
-    write_report(tmp_path, real, ours, results, unit=0.5 * results[0].pooled)
-    assert rows_of(results, 0.5 * results[0].pooled)[0]["R"] == "2.00"
+    rows = rows_of(results, 0.5 * results[0].pooled)
+    write_report(tmp_path, real, ours, results, rows)
+    assert rows[0]["R"] == "2.00"
     page = (tmp_path / "index.html").read_text()
     assert all(name in page for name in ("ours", "real", "spectrum", "Nearest images"))
     with Image.open(tmp_path / "blind.png") as sheet:
@@ -107,7 +108,11 @@ def test_the_command_compares_folders(tmp_path: Path, capsys: pytest.CaptureFixt
     column = rows[0].split(",").index("KID pooled")
     distance = {name: float(row[column].split("±")[0]) for name, row in values.items()}
     assert distance["ours"] > 2.0 * distance["near"]
-    assert "Blind sheet" in capsys.readouterr().out
+    assert distance["ours"] > 2.0 * distance["halves of the real set"]
+    printed = capsys.readouterr().out
+    assert "Blind sheet" in printed
+    assert "Few images: ours 8, near 8, second real 8." in printed
+    assert "halves of" in (out / "index.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("text", ["near", "=folder", "near=", " = "])

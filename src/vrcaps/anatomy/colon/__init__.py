@@ -60,7 +60,7 @@ def generate_colon(parameters: ColonParameters, *, seed: int) -> OrganSurface:
         )
 
     return first_sound(
-        (draw() for _ in range(_NUM_TRIES)),
+        [draw] * _NUM_TRIES,
         f"colon {parameters.length:.2f} m long with {parameters.flexures} flexures without "
         "self-intersection. Allowed: fewer flexures, smaller diameters, or another seed",
     )

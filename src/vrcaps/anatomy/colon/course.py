@@ -243,10 +243,9 @@ def _meander(
 
 def _push_apart(nodes: np.ndarray, needed: np.ndarray) -> np.ndarray:
     """Displacement that separates nodes closer to each other than needed [m]."""
-    offset = nodes[:, None] - nodes
-    distance = np.sqrt(np.einsum("ijk,ijk->ij", offset, offset)) + 1e-9
-    weight = np.clip(needed - distance, 0.0, None) / distance
-    count = np.maximum((weight > 0.0).sum(axis=1), 1)
+    distance = scipy.spatial.distance.cdist(nodes, nodes)
+    weight = np.maximum(needed - distance, 0.0) / (distance + 1e-9)
+    count = np.maximum(np.count_nonzero(weight, axis=1), 1)
     push = nodes * weight.sum(axis=1)[:, None] - weight @ nodes
     return 0.5 * push / count[:, None]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +31,7 @@ from vrcaps.anatomy.tube_mesh.surface_to_organ import (
     arc_length_of_sections,
     first_sound,
     mesh_tube,
+    require_sound,
 )
 from vrcaps.anatomy.tube_mesh.tube import Course, make_tube
 from vrcaps.core.units import CM, MM
@@ -177,7 +179,7 @@ def generate_full_tract(
         return _join(tract, lower, placement, seed)
 
     return first_sound(
-        map(draw, range(_NUM_TRIES)),
+        [partial(draw, attempt) for attempt in range(_NUM_TRIES)],
         f"tract of seed {seed} without self-intersection. Allowed: a shorter or narrower "
         "small bowel, or another seed",
     )
@@ -189,9 +191,10 @@ def _join(
     """Stitch both walls at the valve, with labels, gut coordinates and centerline."""
     upper = mesh_tube(tract.surface())
     vertices, faces, joined = _stitched(tract, upper, lower, placement)
+    used, own = np.unique(faces, return_inverse=True)
+    require_sound("full-tract", vertices[used], own.reshape(-1, 3))
     uv, parts = tract_coordinates(joined, vertices)
-    used, faces = np.unique(faces, return_inverse=True)
-    vertices, faces = vertices[used], faces.reshape(-1, 3).astype(np.int32)
+    vertices, faces = vertices[used], own.reshape(-1, 3).astype(np.int32)
     centerline = _centerline(tract, lower.centerline, placement, vertices, faces)
     arc_length = _arc_length(tract, upper, lower, centerline)[used]
     theta, radius = angle_and_radius(vertices, arc_length, centerline)

@@ -52,7 +52,7 @@ def generate_small_bowel(
     """
     rng = small_bowel_rng(seed)
     return first_sound(
-        (_as_organ(*lay_small_bowel(parameters, around, rng), seed) for _ in range(_NUM_TRIES)),
+        [lambda: _as_organ(*lay_small_bowel(parameters, around, rng), seed)] * _NUM_TRIES,
         f"small bowel {parameters.length:.2f} m long without self-intersection. "
         "Allowed: a shorter one, smaller diameters, or another seed",
     )

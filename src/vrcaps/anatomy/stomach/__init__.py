@@ -60,7 +60,7 @@ def generate_stomach(
     course = course or stomach_course(parameters, stomach_course_rng(seed))
     tube, rng = make_tube(course), stomach_wall_rng(seed)
     return first_sound(
-        (_as_organ(draw_stomach_wall(parameters, tube, rng), seed) for _ in range(_NUM_TRIES)),
+        [lambda: _as_organ(draw_stomach_wall(parameters, tube, rng), seed)] * _NUM_TRIES,
         f"stomach {parameters.length:.3f} m long and {parameters.body_diameter:.3f} m wide without "
         "self-intersection. Allowed: a smaller diameter, lower rugae or another seed",
     )

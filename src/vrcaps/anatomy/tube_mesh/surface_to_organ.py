@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -76,20 +77,44 @@ CENTERLINE_STEP = 1.5 * MM
 """Sample spacing of a centerline that deviates from the course [m]."""
 
 
-def first_sound(organs: Iterable[OrganSurface], problem: str) -> OrganSurface:
+class SelfIntersectionError(InputError):
+    """A generated wall intersects itself."""
+
+
+def first_sound(draws: Iterable[Callable[[], OrganSurface]], problem: str) -> OrganSurface:
     """First organ without self-intersections.
 
     Args:
-        organs: Organs, drawn one after another.
+        draws: Functions that draw an organ, and raise `SelfIntersectionError` if it has any.
         problem: Description of the patient, and the remedy, for the message.
 
     Raises:
         InputError: If there is none.
     """
-    for organ in organs:
-        if not len(self_intersections(organ.vertices, organ.faces)):
-            return organ
+    for draw in draws:
+        with suppress(SelfIntersectionError):
+            return draw()
     raise InputError(f"Found no {problem}.")
+
+
+def require_sound(
+    name: str, vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
+) -> None:
+    """Check that a wall does not intersect itself.
+
+    Args:
+        name: Name of the organ.
+        vertices: Positions [m].
+        faces: Vertex indices.
+
+    Raises:
+        SelfIntersectionError: If it does.
+    """
+    if num := len(self_intersections(vertices, faces)):
+        raise SelfIntersectionError(
+            f"The wall of {name} intersects itself at {num} pairs of triangles. "
+            "Allowed: none. Reduce its diameter, its folds, or the bends of its course."
+        )
 
 
 @dataclass(frozen=True)
@@ -143,9 +168,13 @@ def surface_to_organ(
         label: Segment label, from 1, at arc lengths [m] and angles [rad] on the surface.
         metadata: Provenance of the organ.
         path: Points that the centerline follows [m]; None is the tube's course.
+
+    Raises:
+        SelfIntersectionError: If the wall intersects itself.
     """
     mesh = mesh_tube(surface)
     vertices, faces = mesh.vertices, mesh.faces.astype(np.int32)
+    require_sound(name, vertices, faces)
     if path is None:
         centerline = tube_centerline(surface.tube, vertices)
         arc_length, theta, radius = mesh.arc_length, mesh.theta, mesh.radius

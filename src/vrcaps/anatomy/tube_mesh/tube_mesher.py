@@ -60,9 +60,9 @@ def flip_edges(
         pair = halves.with_count(2)
         edges, pair_faces = np.sort(halves.ends[pair[:, 0]], axis=1), pair // 3
         apex = faces.ravel()[3 * pair_faces + (pair + 2) % 3]
-        a, b = vertices[edges[:, 0]], vertices[edges[:, 1]]
+        a, b = (vertices.take(edges[:, k], axis=0) for k in range(2))  # faster than an index
         is_seam, is_pole = pinned > 0, pinned > 1
-        one, other = (_cotangent(a, vertices[apex[:, k]], b) for k in range(2))
+        one, other = (_cotangent(a, vertices.take(apex[:, k], axis=0), b) for k in range(2))
         excess = -(one + other)
         # The two opposite angles add up to more than π if the sum of their cotangents is negative.
         want = (excess > 1e-3) & ~(is_seam[edges[:, 0]] & is_seam[edges[:, 1]])

@@ -260,7 +260,7 @@ def write_report(
     real: DescribedSet,
     ours: DescribedSet,
     comparisons: Sequence[Comparison],
-    unit: float | None,
+    rows: Sequence[dict[str, str]],
 ) -> None:
     """Write index.html, looks.csv, statistics.csv, blind.png and blind_answers.json.
 
@@ -269,9 +269,9 @@ def write_report(
         real: Reference set.
         ours: First of the compared sets, of which nearest images and the blind sheet are shown.
         comparisons: Results of all sets.
-        unit: Pooled distance of a second real set; None if there is none.
+        rows: Table of distances: those of `rows_of`, and of halves of the real set.
     """
-    rows, medians = rows_of(comparisons, unit), median_rows(real, comparisons)
+    medians = median_rows(real, comparisons)
     write_csv(folder / "looks.csv", rows)
     write_csv(folder / "statistics.csv", medians)
     sheet, answers = blind_sheet(real, ours)

@@ -1,4 +1,4 @@
-"""Overview of an organ: outside, inside, unrolled, and diameter over arc length."""
+"""Overview of an organ: outside, inside, unrolled, and width over arc length."""
 
 from __future__ import annotations
 
@@ -102,8 +102,8 @@ class _Picture:
         """Arc length [m] of the middle of a segment."""
         return float(np.median(self.organ.arc_length[self.organ.label == label]))
 
-    def diameter(self, label: int) -> float:
-        """Median diameter of a segment's wall about the centerline [m]."""
+    def width(self, label: int) -> float:
+        """Twice the median distance of a segment's wall to the centerline [m]."""
         return 2.0 * float(np.median(self.organ.radius[self.organ.label == label]))
 
     def length(self, label: int) -> float:
@@ -118,7 +118,7 @@ def write_overview(organ: OrganSurface, path: Path, *, facts: OrganMeasures | No
     """Write an overview image of an organ.
 
     Two outside views colored by segment, a table of segments and lesions, an inside view of each
-    segment, the unrolled wall, and the diameter over arc length. Lesions have the same numbers in
+    segment, the unrolled wall, and the width over arc length. Lesions have the same numbers in
     all panels.
 
     Args:
@@ -142,10 +142,10 @@ def write_overview(organ: OrganSurface, path: Path, *, facts: OrganMeasures | No
     if picture.is_short:
         left, right = np.ravel(parts[3].subfigures(1, 2))
         _draw_unrolled(left, picture)
-        _draw_diameter(right, picture)
+        _draw_width(right, picture)
     else:
         _draw_unrolled(parts[3], picture)
-        _draw_diameter(parts[4], picture)
+        _draw_width(parts[4], picture)
     fig.savefig(path, dpi=_DPI)
 
 
@@ -188,7 +188,7 @@ def _draw_title(part: SubFigure, picture: _Picture) -> None:
     words = [
         f"{facts.length / CM:.1f} cm long",
         f"lumen {facts.volume / CM**3:.0f} ml",
-        f"minimum diameter {facts.diameter_min / MM:.0f} mm, "
+        f"inscribed ball {facts.diameter_min / MM:.0f} mm at the narrowest point, "
         f"{facts.diameter_median / MM:.0f} mm in the median",
         f"wall {facts.area / CM**2:.0f} cm²",
         f"{facts.num_faces:,} triangles",
@@ -233,7 +233,7 @@ def _draw_number(view: Axes, x: float, y: float, index: int) -> None:
 
 
 def _draw_table(table: Axes, picture: _Picture) -> None:
-    """Draw segments with their colors and diameters, then lesions with their numbers."""
+    """Draw segments with their colors and widths, then lesions with their numbers."""
     table.set_axis_off()
     table.set(xlim=(0, 1), ylim=(0, 1))
     lines = [(label, None) for label in picture.labels] + [(None, le) for le in picture.lesions]
@@ -243,7 +243,7 @@ def _draw_table(table: Axes, picture: _Picture) -> None:
     y = 1.0 - step
     table.text(0.06, y, "segment", size=size, color=_PALE)
     table.text(0.74, y, "length", size=size, color=_PALE, ha="right")
-    table.text(0.98, y, "diameter", size=size, color=_PALE, ha="right")
+    table.text(0.98, y, "width", size=size, color=_PALE, ha="right")
     for label, lesion in listed:
         y -= step
         if label is not None:
@@ -252,7 +252,7 @@ def _draw_table(table: Axes, picture: _Picture) -> None:
             span = picture.length(label)
             text = f"{span / CM:.1f} cm" if span else "adjacent"
             table.text(0.74, y, text, size=size, color=_INK, ha="right")
-            text = f"{picture.diameter(label) / MM:.0f} mm"
+            text = f"{picture.width(label) / MM:.0f} mm"
             table.text(0.98, y, text, size=size, color=_INK, ha="right")
         elif lesion is not None:
             if lesion is picture.lesions[0]:
@@ -358,8 +358,8 @@ def _tidy(view: Axes) -> None:
     view.spines[:].set_visible(False)
 
 
-def _draw_diameter(part: SubFigure, picture: _Picture) -> None:
-    """Draw diameter over arc length: median over the angle, band from 10 % to 90 %."""
+def _draw_width(part: SubFigure, picture: _Picture) -> None:
+    """Draw width over arc length: median over the angle, band from 10 % to 90 %."""
     organ = picture.organ
     left, right = (0.10, 0.96) if picture.is_short else (0.05, 0.98)
     graph = part.add_axes((left, 0.24, right - left, 0.58))
@@ -379,7 +379,7 @@ def _draw_diameter(part: SubFigure, picture: _Picture) -> None:
     top = 1.12 * float(high.max())
     _draw_bar(graph, picture, 1.0 * top, 1.06 * top)
     graph.set(xlim=(0, edges[-1] / CM), ylim=(0, 1.06 * top))
-    title = "Diameter [mm] along the centerline [cm]: median and 10th to 90th percentile"
+    title = "Width (2 × distance of the wall) [mm] along the centerline [cm], 10 to 90 %"
     graph.set_title(title, size=10, color=_INK, loc="left")
     graph.grid(axis="y", color="#eeeeee", lw=0.8)
     _tidy(graph)

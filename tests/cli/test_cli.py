@@ -117,6 +117,12 @@ def test_flags_reach_the_scenario() -> None:
             "render: mucus_film_um is -3.0. Allowed: 0",
         ),
         ("--set motion.drft=3", "Unknown key motion.drft. Allowed: start, end, speed"),
+        ("--set seed=" + "1" * 5000, "--set seed: the value is not usable: Exceeds the limit"),
+        (
+            "--set render.spp=1" + "0" * 400,
+            "--set render.spp: the value is not usable: it contains",
+        ),
+        ("--set motion.drift=" + "[" * 3000, "--set motion.drift: the value is not usable"),
         ("--set frames", "--set is 'frames'. Allowed: PATH=VALUE, such as motion.speed=0.01."),
         ("--set frames=many", "frames is 'many'. Allowed: a whole number."),
         (

@@ -46,6 +46,10 @@ def test_marks_of_windows_editors_are_no_values(tmp_path, name, text):
         ("a.json", b"{", "The test file .*a.json is not JSON"),
         ("a.toml", b"\xff", "is not TOML"),
         ("a.toml", f"x = 1e{'9' * 30}".encode(), "is not TOML"),
+        ("a.toml", b"x = 0x" + b"f" * 6000, "is not TOML: it contains an integer of more than 64"),
+        ("a.json", b"[" + b"1" * 30 + b"]", "is not JSON: it contains an integer of more than 64"),
+        ("a.json", b"[" * 900 + b"]" * 900, "is not JSON: its tables or lists are nested more"),
+        ("a.json", rb'{"a": "\ud800"}', "is not JSON: .*surrogates not allowed"),
         ("a.toml", None, "Cannot read the test file .*a.toml: No such file"),
     ],
 )

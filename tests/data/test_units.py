@@ -11,7 +11,7 @@ from vrcaps.data.units import Units, check_plan
 
 
 def plan(scenario: dict, **settings) -> Plan:
-    return Plan(DatasetSettings(name="test", **settings), scenario)
+    return Plan(DatasetSettings(**{"name": "test", **settings}), scenario)
 
 
 COLONS = {
@@ -90,6 +90,9 @@ def test_items_with_a_probability_are_there_as_often() -> None:
         ({"organ": {"name": {"each": ["colon"]}}}, {}, "belongs to the patient"),
         ({"organ": {"name": "colom"}}, {}, "organ"),
         ({"motion": {"sped": 1.0}}, {}, "Unknown key"),
+        ({}, {"patients": 10**6, "repeats": 10**6}, "number of recordings is 1,000,000,000,000"),
+        ({}, {"name": "x\x1b[31m"}, "The name of a data set is"),
+        ({}, {"name": "x" * 200}, "Allowed: a relative path of at most 180 bytes"),
         ({}, {"split": Split(1.0, 0.0, 0.0), "stratify": ("capsule",)}, "differs between"),
     ],
 )

@@ -219,7 +219,7 @@ def test_command_rectifies_for_a_format_of_pinholes(fisheye_episode, tmp_path, c
     command = ["export", "tum", str(fisheye_episode.path), "--out", str(tmp_path / "t")]
     command += ["--rectify", "70"]
     main(command)
-    assert "Wrote 1 sequences, 5 frames" in capsys.readouterr().out.replace("\n", " ")
+    assert "Wrote 1 sequence, 5 frames" in capsys.readouterr().out.replace("\n", " ")
     with pytest.raises(SystemExit):
         main([*command[:-1], "190"])
     assert "Allowed: above 0 to below 180 degrees" in capsys.readouterr().err

@@ -1,5 +1,6 @@
 """Published weights: found by name, checked, with a card that says how to make them again."""
 
+import csv
 import hashlib
 import json
 import shutil
@@ -106,6 +107,37 @@ def test_card_states_training_and_metrics(run, place, tmp_path):
     assert again.sha256 == entry.sha256
     publish(run, place, notes="Other.")
     assert "Only in tests." not in (place / "super-resolution.md").read_text()
+
+
+DAMAGE = [
+    *(("settings.json", "frames", frames) for frames in ([10, "two"], [-5, 5], "ab", [None] * 2)),
+    ("settings.json", "frames", [float("nan"), 1]),
+    ("settings.json", "made_with", ["vrcaps"]),
+    ("settings.json", "made_with", {"torch": "2.0\n\n# injected"}),
+    *(("progress.csv", "step", step) for step in ("inf", "-5", "1" * 200_000)),
+]
+
+
+@pytest.mark.parametrize(("file", "key", "value"), DAMAGE)
+def test_a_damaged_training_is_one_line_and_keeps_what_is_published(
+    run, place, tmp_path, file, key, value
+):
+    publish(run, place, notes="For tests.")
+    before = {path.name: path.read_bytes() for path in files_in(place)}
+    damaged = tmp_path / "damaged"
+    shutil.copytree(run, damaged)
+    if file == "progress.csv":
+        rows = list(csv.reader((damaged / file).read_text().splitlines()))
+        rows[-1][rows[0].index(key)] = value
+        (damaged / file).write_text("\n".join(map(",".join, rows)))
+    else:
+        stated = json.loads((damaged / file).read_text())
+        (stated["settings"] if key == "frames" else stated)[key] = value
+        (damaged / file).write_text(json.dumps(stated))
+    with pytest.raises(InputError, match=r"The training in .* is damaged: ") as error:
+        publish(damaged, place, notes="Other.")
+    assert "\n" not in str(error.value)
+    assert {path.name: path.read_bytes() for path in files_in(place)} == before
 
 
 def header_and_body(card):
@@ -216,6 +248,10 @@ def test_command_predicts_with_published_weights(run, place, tmp_path, capsys):
         large = out / str(number)
         cli.main(["predict", TASK, "--images", str(images), "--out", str(large)])
         assert {path.name for path in files_in(large)} == {"one.png", "sheet.png"}
+    with pytest.raises(SystemExit):
+        cli.main(["predict", TASK, "--images", str(photos), "--out", str(photos / "large")])
+    assert "that is read. Allowed: a folder elsewhere" in " ".join(capsys.readouterr().err.split())
+    assert {path.name for path in photos.iterdir()} == {"one.png"}
     cli.main(["weights", "list"])
     said = " ".join(capsys.readouterr().out.split())
     assert TASK in said and "1 in " in said

@@ -136,6 +136,12 @@ def test_an_interrupted_recording_is_the_only_fault(episode, key):
         (lambda h: h["scenario"].update(frames=6), "scenario has other frames or channels"),
         (lambda h: h["scenario"].update(speed=1), "Unknown key speed"),
         (lambda h: h.pop("organ"), "organ is None, not dict"),
+        (lambda h: h.update(capsule=None), "capsule is None, not dict"),
+        *(
+            (lambda h, fps=fps: h.update(fps=fps), "fps is")
+            for fps in (None, 0, -1.0, "x", True, 1e5, float("nan"))
+        ),
+        (lambda h: h["T_world_patient"][0].__setitem__(3, 10**400), "is not rigid"),
     ],
 )
 def test_broken_head(episode, change, what):

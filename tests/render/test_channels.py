@@ -119,7 +119,7 @@ def test_the_core_fills_every_channel_of_its_stage():
         for name in names
     }
     given = Frame(**{name: array.copy() for name, array in before.items()})
-    frame = Renderer(model, DIRECT).render(state, camera, channels=names, out=given)
+    frame = Renderer(model, DIRECT).render(state, camera, channels=iter(names), out=given)
     for name in names:
         assert getattr(frame, name) is getattr(given, name)
         assert not np.array_equal(getattr(frame, name), before[name]), name

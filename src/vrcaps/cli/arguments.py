@@ -131,11 +131,29 @@ def require_sources(sources: Iterable[str]) -> None:
         InputError: If one does not.
     """
     for source in sources:
-        kind, colon, folder = source.partition(":")
-        if colon and kind in FORMATS:
-            require_folder(folder, f"frames in the layout {kind}")
-        else:
-            require_folder(source, "an episode, a data set or images")
+        kind, folder = _parts_of(source)
+        layout = f"frames in the layout {kind}" if kind else "an episode, a data set or images"
+        require_folder(folder, layout)
+
+
+def require_outside(out: Path, sources: Iterable[str]) -> None:
+    """Check that an output folder is not in a source, which would be read with it the next time.
+
+    Raises:
+        InputError: If it is the folder of a source or in it.
+    """
+    for source in sources:
+        _, folder = _parts_of(source)
+        if "://" not in folder and out.resolve().is_relative_to(Path(folder).resolve()):
+            raise InputError(
+                f"--out is {out}, in the folder {folder} that is read. Allowed: a folder elsewhere."
+            )
+
+
+def _parts_of(source: str) -> tuple[str, str]:
+    """Layout, empty if not stated, and folder of a source of frames."""
+    kind, colon, folder = source.partition(":")
+    return (kind, folder) if colon and kind in FORMATS else ("", source)
 
 
 def require_existing(paths: Iterable[Path], what: str) -> None:

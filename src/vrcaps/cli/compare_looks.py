@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional, UseAppendAction
 
-from vrcaps.cli.arguments import require_sources
+from vrcaps.cli.arguments import require_outside, require_sources
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.core.errors import InputError, require
 from vrcaps.core.files import atomic_folder
@@ -85,6 +85,7 @@ class CompareLooks:
         if self.out is None:
             self._compare(sources, None)
             return
+        require_outside(self.out, sources.values())
         try:
             self.out.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from tyro.conf import UseAppendAction
 
-from vrcaps.cli.arguments import require_sources
+from vrcaps.cli.arguments import require_outside, require_sources
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.cli.parts import command_of, part_of
 from vrcaps.core.errors import InputError
@@ -264,6 +264,7 @@ class _Predict:
             InputError: If weights and images do not match.
         """
         require_sources((self.images,))
+        require_outside(self.out, (self.images,))
         weights = _find_weights(self.weights, self.task)
         from vrcaps.core.files import require_new_folder
         from vrcaps.learn.checkpoint import read_weights

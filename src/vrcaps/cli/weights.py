@@ -11,7 +11,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from vrcaps.cli.arguments import require_file, require_folder
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.core.errors import InputError
+from vrcaps.core.errors import InputError, reading
 
 
 @dataclass(frozen=True)
@@ -127,8 +127,11 @@ class Publish:
         require_folder(self.training, "a training")
         for scored in self.scores:
             require_folder(scored, "an evaluation")
+        notes = ""
         if self.notes is not None:
             require_file(self.notes, "a file of Markdown")
+            with reading(self.notes):
+                notes = self.notes.read_text("utf-8-sig")
         from vrcaps.learn.hub import weights_folder
         from vrcaps.learn.publishing import publish
 
@@ -141,7 +144,7 @@ class Publish:
             folder,
             name=self.name,
             evaluations=self.scores,
-            notes="" if self.notes is None else self.notes.read_text("utf-8-sig"),
+            notes=notes,
             license_name=self.license,
         )
         console.print(f"{entry.name}: {entry.summary}")

@@ -22,6 +22,10 @@ from vrcaps.core.names import listed
 
 _LONGEST = 2**28
 """Maximum number of characters of a file: a device such as /dev/zero has no end."""
+_BITS = 64
+"""Integers have fewer bits: seeds are the largest."""
+_DEEPEST = 64
+"""Maximum depth of nested tables and lists."""
 
 
 def stored_fields(cls: Any) -> list[Field]:
@@ -48,13 +52,41 @@ def read_plain(path: Path, noun: str) -> Any:
             text = file.read(_LONGEST + 1)
         if len(text) > _LONGEST:
             raise ValueError(f"it has more than {_LONGEST} characters")
-        if kind == "TOML":
-            return tomllib.loads(text, parse_float=Decimal)
-        return json.loads(text)
+        plain = tomllib.loads(text, parse_float=Decimal) if kind == "TOML" else json.loads(text)
+        require_bounded(plain)
+        return plain
     except OSError as error:
         raise InputError(f"Cannot read the {noun} file {path}: {error.strerror}.") from error
     except (ValueError, ArithmeticError, RecursionError) as error:
         raise InputError(f"The {noun} file {path} is not {kind}: {error}.") from error
+
+
+def require_bounded(plain: Any) -> None:
+    """Check that plain values have sizes that any part of the package can handle.
+
+    Args:
+        plain: Value of TOML or JSON.
+
+    Raises:
+        ValueError: If an integer has more than 64 bits, tables or lists are nested more than 64
+            deep, or a text contains half of a surrogate pair.
+    """
+    level = [plain]
+    for _ in range(_DEEPEST):
+        inner: list[Any] = []
+        for value in level:
+            if isinstance(value, Mapping):
+                inner += [*value, *value.values()]
+            elif isinstance(value, list | tuple):
+                inner += value
+            elif isinstance(value, int) and value.bit_length() > _BITS:
+                raise ValueError(f"it contains an integer of more than {_BITS} bits")
+            elif isinstance(value, str) and not value.isascii():
+                value.encode()  # raises UnicodeEncodeError, a ValueError
+        if not inner:
+            return
+        level = inner
+    raise ValueError(f"its tables or lists are nested more than {_DEEPEST} deep")
 
 
 @dataclass(frozen=True)

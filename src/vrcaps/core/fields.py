@@ -86,11 +86,18 @@ def check_fields(instance: Any, of: str = "") -> None:
         if not kind.holds(value):
             if kind.names and isinstance(value, str):
                 raise UnknownNameError(name.replace("_", " "), value, kind.names)
-            given_text = " ".join(repr(value).split())
+            given_text = " ".join(_repr(value).split())
             raise InputError(f"{owner}{name} is {given_text:.80}. Allowed: {kind.allowed}.")
         if kind.range_ and not kind.contains(value):
             allowed = kind.words if str(kind.range_) in kind.words else kind.range_
             raise InputError(f"{owner}{name} is {value}. Allowed: {allowed}.")
+
+
+def _repr(value: Any) -> str:
+    try:
+        return repr(value)
+    except ValueError:  # Python writes no integer of more than 4,300 digits
+        return "an integer of thousands of digits"
 
 
 def plain_fields(instance: Any) -> None:
@@ -107,7 +114,10 @@ def plain_value(value: Any) -> Any:
     if isinstance(value, tuple):
         return _mapped(plain_value, value)
     is_numpy = type(value).__module__ == "numpy" and getattr(value, "ndim", 1) == 0
-    return value.item() if is_numpy else value
+    plain = value.item() if is_numpy else value
+    # Fractions and NumPy's long double have no form in files.
+    is_other = isinstance(plain, Real) and not isinstance(plain, int | float)
+    return float(plain) if is_other else plain
 
 
 def _mapped(function: Callable[[Any], Any], items: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -250,7 +260,7 @@ def _is_whole(value: Any) -> bool:
         operator.index(value)
     except TypeError:
         return False
-    return not isinstance(value, bool)
+    return _is_number(value)  # larger ones have no float
 
 
 _SCALARS = {

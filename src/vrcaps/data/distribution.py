@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,10 @@ _BITS = 63
 """NumPy draws integers with fewer bits."""
 _MAX_PREVALENCE = 100.0
 """Maximum factor of the prevalence of lesions; the mean patient then has hundreds."""
+
+_LEAST_PROBABILITY = 1e-4
+"""Minimum probability of the limits of a normal distribution, whose values are drawn until one lies
+within them."""
 
 Plain = Any
 """Value of TOML or JSON."""
@@ -42,7 +47,7 @@ class Choice:
         """Raise InputError if nothing can be drawn."""
         weights = [_number(weight, path) for weight in self.weights]
         fits = not weights or (len(weights) == len(self.choice) and min(weights) >= 0.0)
-        if not self.choice or not fits or (weights and sum(weights) <= 0.0):
+        if not self.choice or not fits or (weights and not 0.0 < sum(weights) < math.inf):
             raise InputError(
                 f"{path}: {len(self.choice)} choices with weights {weights}. Allowed: at least one "
                 "choice, and a weight of 0 or more for each."
@@ -66,7 +71,9 @@ class Uniform:
 
     def check(self, path: str) -> None:
         """Raise InputError unless the limits are two increasing numbers."""
-        _check_limits(self.uniform, path)
+        low, high = _check_limits(self.uniform, path)
+        if math.isinf(high - low):
+            raise InputError(f"{path}: uniform is {[low, high]}. Allowed: a finite difference.")
 
 
 @dataclass(frozen=True)
@@ -123,6 +130,13 @@ class Normal:
             raise InputError(
                 f"{path}: limits {list(self.limits)} are more than 3 deviations from the mean "
                 f"{mean:g}. Allowed: limits within 3 deviations."
+            )
+        normal = NormalDist(mean, deviation or 1.0)
+        if deviation > 0.0 and normal.cdf(high) - normal.cdf(low) < _LEAST_PROBABILITY:
+            raise InputError(
+                f"{path}: limits {low:g} to {high:g} contain less than {_LEAST_PROBABILITY:g} of "
+                f"the normal distribution {mean:g}, {deviation:g}. Allowed: wider limits, or a "
+                "uniform distribution."
             )
 
 

@@ -16,6 +16,7 @@ from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.config.plain_files import as_floats, read_plain
 from vrcaps.core.errors import InputError, UnknownNameError
 from vrcaps.core.fields import Range, check_fields
+from vrcaps.core.names import require_name
 from vrcaps.core.rng import MAX_SEED
 from vrcaps.data.distribution import slots
 
@@ -85,6 +86,7 @@ class DatasetSettings:
         check_fields(self)
         if not self.name.strip():
             raise InputError("name is empty. Allowed: a name for the data set.")
+        require_name("data set", self.name)
         if self.license not in LICENSES:
             raise UnknownNameError("license", self.license, LICENSES)
         for path in self.stratify:

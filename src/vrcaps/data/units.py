@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any
 
 from vrcaps.core import rng
-from vrcaps.core.errors import InputError, UnknownNameError, VrcapsError
+from vrcaps.core.errors import InputError, UnknownNameError, VrcapsError, require
 from vrcaps.data.distribution import PROBABILITY, Each, Prevalence, slots
 from vrcaps.data.plan import PATIENT_SLOTS, Plan
 from vrcaps.organ.segments import ORGANS, organ_segments
@@ -18,6 +18,8 @@ from vrcaps.recording.frame_sequence import SPLITS
 from vrcaps.scenario.scenario import OrganGenerated, Scenario, scenario_from_plain
 
 _SEEDS = 2**31
+_MAX_UNITS = 10**6
+"""Maximum number of recordings; a plan of a million takes weeks."""
 _TWIN = "clean_twin"
 """Key of a clean twin, which shares all draws with the recording that shows the lesions."""
 
@@ -57,6 +59,8 @@ class Units:
             )
         sizes = [len(slot.each) for _, slot in self._each]
         self.per_patient = math.prod(sizes) * plan.settings.repeats
+        allowed = f"up to {_MAX_UNITS:,}: fewer patients, repeats or values of `each`"
+        require(len(self) <= _MAX_UNITS, "The number of recordings", f"{len(self):,}", allowed)
 
     def __len__(self) -> int:
         return self.plan.settings.patients * self.per_patient

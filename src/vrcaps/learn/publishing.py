@@ -7,7 +7,8 @@ compared.
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -39,6 +40,9 @@ if TYPE_CHECKING:
 
 MAX_BYTES = 25 * 10**6
 """Maximum size of a published file."""
+_MAX_COUNT = 10**12
+"""Maximum number of frames or steps."""
+_VERSION = re.compile(r"[\w.+-]{1,60}", re.ASCII)
 
 
 def publish(
@@ -90,9 +94,10 @@ def publish(
         )
     summary = _summary(trained.task, training, scored)
     entry = PublishedWeights(name, trained.task.kind, name + SUFFIX, sha256, size, summary)
+    text = card_text(entry, training, scored, license_name, notes).encode()  # before any write
     folder.mkdir(parents=True, exist_ok=True)
     write_bytes(folder / entry.file, best.read_bytes())
-    write_bytes(card, card_text(entry, training, scored, license_name, notes).encode())
+    write_bytes(card, text)
     add_to_index(folder, entry)
     return entry
 
@@ -113,22 +118,47 @@ def _training(run: Path, trained: TrainedNetwork) -> Training:
     stated = read_plain(path, "settings")
     try:
         plain: dict[str, Any] = dict(stated["settings"])
-        num_training, num_validation = plain.pop("frames")
+        num_training, num_validation = map(_count, plain.pop("frames"))
         settings = read_settings(plain, at=str(path))
-        made_with = {str(k): str(v) for k, v in stated["made_with"].items() if k != "core"}
+        made_with = _versions(stated["made_with"])
         with (run / PROGRESS).open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
-        done = int(float(rows[-1]["step"]))
-        step, scores = int(trained.metadata["steps"]), dict(trained.metadata["scores"])
+        done = _count(float(rows[-1]["step"]))
+        step, scores = _count(trained.metadata["steps"]), dict(trained.metadata["scores"])
     except OSError as error:
         raise InputError(f"Cannot read {run / PROGRESS}: {error.strerror}.") from error
-    except (LookupError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, csv.Error) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"The training in {run} is damaged: {error}.") from error
     frames = (max(1, round(settings.fraction * num_training)), num_validation)
     origin = str(trained.metadata.get("origin", ""))
     return Training(settings, frames, made_with, step, done, scores, _plans(settings), origin)
+
+
+def _count(value: Any) -> int:
+    """Number of frames or steps.
+
+    Raises:
+        ValueError: If it is no whole number from 0.
+    """
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (is_number and 0 <= value <= _MAX_COUNT and value == int(value)):
+        raise ValueError(f"{value!r:.40} is not a number of frames or steps")
+    return int(value)
+
+
+def _versions(made_with: Mapping[str, Any]) -> dict[str, str]:
+    """Versions of the packages of a training, in one line each.
+
+    Raises:
+        ValueError: If a name or a version has other characters than those of versions.
+    """
+    versions = {str(k): str(v) for k, v in made_with.items() if k != "core"}
+    for text in (*versions, *versions.values()):
+        if not _VERSION.fullmatch(text):
+            raise ValueError(f"{text!r:.40} is not the name or version of a package")
+    return versions
 
 
 def _plans(settings: TrainSettings) -> dict[str, dict[str, Any]]:
@@ -139,7 +169,7 @@ def _plans(settings: TrainSettings) -> dict[str, dict[str, Any]]:
             continue
         try:
             plan = read_plain_plan(open_store(source))
-        except VrcapsError:
+        except (VrcapsError, ValueError):  # such as a null character in a path
             continue  # an episode, or data that is no longer here; the card names it
         plans[source] = {key: plan[key] for key in ("dataset", "scenario") if key in plan}
     return plans

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.core.errors import InputError, UnknownNameError
+from vrcaps.core.errors import InputError, UnknownNameError, require
 from vrcaps.core.units import parse_length
 from vrcaps.mesh.glb import read_document
 from vrcaps.mesh.gltf import read_gltf
@@ -23,6 +23,7 @@ _PARSE_ERRORS = (
     *(ValueError, LookupError, TypeError, AttributeError, OverflowError),
     *(EOFError, OSError, struct.error, RecursionError, MemoryError),
 )
+_FARTHEST = 1e4  # maximum distance of a vertex from the origin along an axis [m]
 _MIN_STEPS = 1000  # minimum number of 32-bit coordinate steps across a mesh
 
 
@@ -56,7 +57,11 @@ def read_mesh(path: Path, *, unit: str) -> Mesh:
         raise InputError(f"Cannot read {path} as {extension.upper()}: {_reason(error)}.") from error
     _check_mesh(mesh, path)
     _check_resolution(mesh, path)
-    return replace(mesh, vertices=mesh.vertices * scale)
+    vertices = mesh.vertices * scale
+    largest = float(np.abs(vertices).max())
+    allowed = f"up to {_FARTHEST:g} m from the origin; check the unit"
+    require(largest <= _FARTHEST, f"The largest coordinate of {path}", f"{largest:g} m", allowed)
+    return replace(mesh, vertices=vertices)
 
 
 def read_label_names(path: Path) -> tuple[str, ...]:

@@ -73,5 +73,5 @@ def sum_waves(
             np.copysign(1.0, winding) * np.cos(angle) + 1j * np.sin(angle)
         )
     parts = tables.view(float).reshape(*tables.shape, 2)
-    places = np.broadcast_arrays(arc_length, theta)
-    return _core.sum_wave_tables(parts, step, *(np.ascontiguousarray(x, float) for x in places))
+    points = np.broadcast_arrays(arc_length, theta)
+    return _core.sum_wave_tables(parts, step, *(np.ascontiguousarray(x, float) for x in points))

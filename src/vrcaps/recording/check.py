@@ -124,7 +124,7 @@ def _check_head(episode: Episode) -> Iterator[Problem]:
             yield Problem(EPISODE_JSON, f"T_capsule_camera of {camera.name!r} is not rigid")
     try:
         require_rigid(np.array(episode.head.get("T_world_patient"), float), "T_world_patient")
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         yield Problem(EPISODE_JSON, f"the pose of the patient is not rigid ({reason_of(error)})")
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.camera.camera import Camera
-from vrcaps.capsule.device import Device
+from vrcaps.capsule.device import MAX_FRAME_RATE, Device
 from vrcaps.config.convert import from_plain, to_plain
 from vrcaps.config.plain_files import decode_json
 from vrcaps.core.build_info import EPISODE_PACKAGES, core_sha256, versions
@@ -263,10 +263,15 @@ def require_head(head: dict[str, Any], where: str) -> None:
     Raises:
         InputError: If a key is missing, of the wrong type or out of range, or a channel is unknown.
     """
-    types = {"frames": int, "cameras": list, "channels": dict, "organ": dict, "scenario": dict}
+    tables = dict.fromkeys(("channels", "organ", "scenario", "capsule"), dict)
+    types = {"frames": int, "cameras": list, **tables}
     for key, expected in types.items():
         if type(head.get(key)) is not expected:
             raise InputError(f"{where}: {key} is {head.get(key)!r}, not {expected.__name__}.")
+    fps: Any = head.get("fps")
+    is_number = isinstance(fps, int | float) and not isinstance(fps, bool)
+    is_rate = is_number and 0.0 < fps <= MAX_FRAME_RATE
+    require(is_rate, f"{where}: fps", repr(fps), f"above 0 to {MAX_FRAME_RATE:g}")
     for key in ("cameras", "channels"):
         require(len(head[key]) > 0, f"{where}: number of {key}", len(head[key]), "1 or more")
     if "wall" in head:

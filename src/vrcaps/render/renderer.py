@@ -124,7 +124,8 @@ class Renderer:
         """
         if isinstance(camera, str):
             camera = self.model.device.camera(camera)
-        return Frame(**self.arrays((state_previous, state, state_next), camera, channels, out))
+        states = state_previous, state, state_next
+        return Frame(**self.arrays(states, camera, tuple(channels), out))
 
     def arrays(
         self,

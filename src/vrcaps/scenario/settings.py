@@ -10,6 +10,7 @@ from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from vrcaps.config.convert import classes_by_kind
+from vrcaps.config.plain_files import require_bounded
 from vrcaps.core.errors import InputError
 from vrcaps.core.fields import Range, range_of
 from vrcaps.scenario.scenario import Scenario
@@ -105,9 +106,13 @@ def parse_change(text: str) -> tuple[str, Any]:
     if not (equals and path and value):
         raise InputError(f"--set is {text!r}. Allowed: PATH=VALUE, such as motion.speed=0.01.")
     try:
-        return path.strip(), tomllib.loads(f"value = {value}")["value"]
+        plain = tomllib.loads(f"value = {value}")["value"]
+        require_bounded(plain)
     except tomllib.TOMLDecodeError:
         return path.strip(), value
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"--set {path.strip()}: the value is not usable: {error}.") from error
+    return path.strip(), plain
 
 
 def changed(plain: Mapping[str, Any], path: str, value: Any) -> dict[str, Any]:

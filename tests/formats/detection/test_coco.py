@@ -213,7 +213,7 @@ def test_lesions_are_needed(tmp_path):
 def test_command(pinhole_episode, tmp_path, capsys):
     arguments = ["export", "coco", str(pinhole_episode.path), "--out", str(tmp_path / "out")]
     main([*arguments, "--masks", "rle", "--crowd", "colitis", "bleeding"])
-    assert "Wrote 1 sequences, 5 frames" in capsys.readouterr().out.replace("\n", " ")
+    assert "Wrote 1 sequence, 5 frames" in capsys.readouterr().out.replace("\n", " ")
     (found,) = Coco().read(tmp_path / "out")
     assert_same_images(found, pinhole_episode.sequence(), "instance")
 

@@ -23,7 +23,7 @@ _PARSE_ERRORS = (
     *(ValueError, LookupError, TypeError, AttributeError, OverflowError),
     *(EOFError, OSError, struct.error, RecursionError, MemoryError),
 )
-_FARTHEST = 1e4  # maximum distance of a vertex from the origin along an axis [m]
+_FARTHEST = 1e9  # maximum distance of a vertex from the origin along an axis [m]
 _MIN_STEPS = 1000  # minimum number of 32-bit coordinate steps across a mesh
 
 

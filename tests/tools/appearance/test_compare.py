@@ -153,7 +153,11 @@ def test_a_reference_of_copies_is_refused(tmp_path: Path, capsys: pytest.Capture
         (["--other", "a=.", "--other", "a=."], "the name 'a' is taken. Give another name."),
         (["--other", "meaning=."], "the name 'meaning' is taken"),
         (["--other", "real =."], "the name 'real' is taken"),
-        (["--out", "0.png/out"], "--out is 0.png/out: cannot create its parent (File exists)."),
+        (
+            ["--out", "looks"],
+            "--out is looks, in the folder . that is read. Allowed: a folder else",
+        ),
+        (["--out", "../a/out"], "--out is ../a/out: cannot create its parent (File exists)."),
     ],
 )
 def test_invalid_options_are_one_line(
@@ -164,6 +168,7 @@ def test_invalid_options_are_one_line(
     monkeypatch: pytest.MonkeyPatch,
 ):
     real = write_images(tmp_path / "real", 3, 60)
+    (tmp_path / "a").write_text("")
     monkeypatch.chdir(real)
     with pytest.raises(SystemExit):
         main(["compare-looks", ".", ".", *options])

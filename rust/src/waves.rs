@@ -33,7 +33,8 @@ pub fn sum_wave_tables<'py>(
     }
     let start = arc_length.iter().fold(f64::INFINITY, |a, &b| a.min(b));
     let end = arc_length.iter().fold(start, |a, &b| a.max(b));
-    if !arc_length.is_empty() && !((end - start) / step < (rows as f64) - 1.0) {
+    let last = (end - start) / step;
+    if !arc_length.is_empty() && (last.is_nan() || last >= rows as f64 - 1.0) {
         return Err(PyValueError::new_err("An arc length lies beyond the tables."));
     }
     let mut sums = vec![0.0; theta.len()];

@@ -91,6 +91,11 @@ def test_items_with_a_probability_are_there_as_often() -> None:
         ({"organ": {"name": "colom"}}, {}, "organ"),
         ({"motion": {"sped": 1.0}}, {}, "Unknown key"),
         ({}, {"patients": 10**6, "repeats": 10**6}, "number of recordings is 1,000,000,000,000"),
+        (
+            {name: {"each": list(range(1, 4001))} for name in ("frames", "fps")},
+            {"patients": 10**6, "repeats": 10**6},
+            "number of recordings is 16,000,000,000,000,000,000",
+        ),
         ({}, {"name": "x\x1b[31m"}, "The name of a data set is"),
         ({}, {"name": "x" * 200}, "Allowed: a relative path of at most 180 bytes"),
         ({}, {"split": Split(1.0, 0.0, 0.0), "stratify": ("capsule",)}, "differs between"),

@@ -59,8 +59,9 @@ class Units:
             )
         sizes = [len(slot.each) for _, slot in self._each]
         self.per_patient = math.prod(sizes) * plan.settings.repeats
+        total = plan.settings.patients * self.per_patient
         allowed = f"up to {_MAX_UNITS:,}: fewer patients, repeats or values of `each`"
-        require(len(self) <= _MAX_UNITS, "The number of recordings", f"{len(self):,}", allowed)
+        require(total <= _MAX_UNITS, "The number of recordings", f"{total:,}", allowed)
 
     def __len__(self) -> int:
         return self.plan.settings.patients * self.per_patient

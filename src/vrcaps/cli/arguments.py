@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from vrcaps.core.errors import InputError, UnknownNameError, nearest
+from vrcaps.core.names import leads_into
 from vrcaps.formats.format import FORMATS
 
 _BOX = re.compile(r"[╭╮╰╯│─]+|-{4,}|(?<!\S)[|+](?!\S)")
@@ -144,7 +145,7 @@ def require_outside(out: Path, sources: Iterable[str]) -> None:
     """
     for source in sources:
         _, folder = _parts_of(source)
-        if "://" not in folder and out.resolve().is_relative_to(Path(folder).resolve()):
+        if "://" not in folder and leads_into(out, Path(folder)):
             raise InputError(
                 f"--out is {out}, in the folder {folder} that is read. Allowed: a folder elsewhere."
             )

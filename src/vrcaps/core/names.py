@@ -110,7 +110,7 @@ def inside(folder: Path, name: Any) -> Path:
     if not isinstance(name, (str, Path)) or "\0" in str(name):
         raise InputError(f"A file in {folder} has the name {name!r}. Allowed: a relative path.")
     path = folder / name
-    if not _leads_into(path, folder):
+    if not leads_into(path, folder):
         raise _leads_out(path, folder)
     return regular(path)
 
@@ -141,7 +141,7 @@ def require_links_inside(folder: Path, *, hidden: bool = False) -> None:
     for place, folders, files in os.walk(folder):
         folders[:] = [name for name in folders if hidden or not is_hidden(Path(name))]
         for path in (Path(place, name) for name in (*folders, *files)):
-            if path.is_symlink() and not _leads_into(path, folder):
+            if path.is_symlink() and not leads_into(path, folder):
                 raise _leads_out(path, folder)
         for name in files:
             regular(Path(place, name))
@@ -164,7 +164,8 @@ def is_hidden(path: Path) -> bool:
     return any(part.startswith(".") or part.lower() in _SYSTEM_FILES for part in path.parts)
 
 
-def _leads_into(path: Path, folder: Path) -> bool:
+def leads_into(path: Path, folder: Path) -> bool:
+    """Return whether a path is a folder or below it, after all links are followed."""
     return Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))
 
 

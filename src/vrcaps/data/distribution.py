@@ -131,8 +131,10 @@ class Normal:
                 f"{path}: limits {list(self.limits)} are more than 3 deviations from the mean "
                 f"{mean:g}. Allowed: limits within 3 deviations."
             )
-        normal = NormalDist(mean, deviation or 1.0)
-        if deviation > 0.0 and normal.cdf(high) - normal.cdf(low) < _LEAST_PROBABILITY:
+        if deviation == 0.0:
+            return
+        normal = NormalDist(mean, deviation)
+        if normal.cdf(high) - normal.cdf(low) < _LEAST_PROBABILITY:
             raise InputError(
                 f"{path}: limits {low:g} to {high:g} contain less than {_LEAST_PROBABILITY:g} of "
                 f"the normal distribution {mean:g}, {deviation:g}. Allowed: wider limits, or a "

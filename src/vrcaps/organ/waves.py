@@ -65,9 +65,10 @@ def sum_waves(
         amplitude, wavenumber, lobes, phase = waves.T[:, :, None]
         return (amplitude * np.sin(wavenumber * arc_length + lobes * theta + phase)).sum(axis=0)
     lobes = np.abs(waves[:, 2]).astype(int)
+    s = arc_length.min() + step * rows
     tables = np.zeros((len(rows), lobes.max() + 1), complex)
     for (amplitude, wavenumber, winding, phase), count in zip(waves, lobes, strict=True):
-        angle = wavenumber * (arc_length.min() + step * rows) + phase
+        angle = wavenumber * s + phase
         # −conj(exp(i x)) represents the waves of the opposite winding.
         tables[:, count] += amplitude * (
             np.copysign(1.0, winding) * np.cos(angle) + 1j * np.sin(angle)

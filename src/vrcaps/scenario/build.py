@@ -11,7 +11,7 @@ import numpy as np
 
 from vrcaps.capsule.device import Device
 from vrcaps.config.convert import to_plain
-from vrcaps.core.errors import InputError, reading, require_extra
+from vrcaps.core.errors import InputError, require_extra
 from vrcaps.core.fields import path_of, with_checksums
 from vrcaps.core.units import LENGTH_UNITS
 from vrcaps.lesion import Lesion, LesionPair, add_lesions, lesion_rng
@@ -257,16 +257,15 @@ def resolve_organ(organ: Organ) -> Organ:
     """
     if isinstance(organ, OrganSurface):
         return organ
+    organ = with_checksums(organ)
     if isinstance(organ, OrganFile) and not organ.unit:
         if not is_organ_file(path_of(organ.path)):
-            with reading(path_of(organ.path)):
-                path_of(organ.path).stat()
             raise InputError(
                 f"unit is missing: {path_of(organ.path)} does not state its unit. Allowed: "
                 f"{', '.join(LENGTH_UNITS)}, or e.g. 5cm."
             )
-        organ = replace(organ, unit="m")
-    return with_checksums(organ)
+        return replace(organ, unit="m")
+    return organ
 
 
 def _max_diameter(organ: OrganGenerated) -> float:

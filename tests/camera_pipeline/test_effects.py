@@ -80,6 +80,7 @@ def test_what_a_user_cannot_write(text: str, error: type[Exception], match: str)
     [
         ({"random": "false"}, "random is 'false'. Allowed: True or False"),
         ({"random": 1}, "random is 1. Allowed: True or False"),
+        ({"nominal": "yes"}, "nominal is 'yes'. Allowed: True or False"),
         ({"jpeg": True}, "Effect jpeg has the severity True. Allowed: 0 to 4"),
         ({"jpeg": False}, "Effect jpeg has the severity False. Allowed: 0 to 4"),
         ({"jpeg": np.array([1, 2])}, r"Effect jpeg has the severity \[1 2\]. Allowed: 0 to 4"),

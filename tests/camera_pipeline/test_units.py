@@ -97,6 +97,17 @@ def test_units_differ_in_their_target_of_exposure() -> None:
     assert Effects().of_device(equal, 7).auto_exposure == nominal
 
 
+def test_a_nominal_camera_is_that_of_the_model() -> None:
+    device = read_device("pillcam-sb3")
+    nominal = parse_effects("nominal,jpeg=1")
+    assert nominal == Effects(jpeg=1, nominal=True)
+    of_model = Effects(jpeg=1).of_device(device)
+    assert nominal.of_device(device, 7) == nominal.of_device(device, 8) == of_model
+    assert Effects(jpeg=1).of_device(device, 7) != of_model
+    assert of_model.of_device(device, 7) == of_model
+    assert parse_effects("nominal,default") == Effects()
+
+
 def test_leds_are_unequal_but_give_the_same_light() -> None:
     camera = read_device("mirocam").cameras[0]
     varied = LedBalance(0.3, 0.05, seed=2).on(camera)

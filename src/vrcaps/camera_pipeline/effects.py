@@ -64,6 +64,10 @@ if TYPE_CHECKING:
     from vrcaps.capsule.image_chain import ImageChain
 
 
+_FLAGS = ("random", "nominal")
+"""Fields of `Effects` that are not effects."""
+
+
 @dataclass(frozen=True)
 class Effects:
     """Effects of lens, sensor and recorder on the images, in this order.
@@ -72,7 +76,8 @@ class Effects:
     one, or the effect with exact parameters. None is the capsule's own, see `of_device`, and leaves
     the scene unchanged. The class of a field documents the effect. To add an effect, add its class
     to the file of its stage in `camera_pipeline/effect` and its field here. With `random`, a
-    recording also samples three to five of the effects that are None, at severity 1 or 2.
+    recording also samples three to five of the effects that are None, at severity 1 or 2. With
+    `nominal`, the capsule's own are those of its model, without the differences between units.
 
     Example:
         >>> effects = vrcaps.Effects(depth_of_field=2, sensor_noise=(1, 3), jpeg=1)
@@ -104,10 +109,13 @@ class Effects:
     jpeg: Severity | Jpeg | None = None
     adaptive_frame_rate: Literal[0] | AdaptiveFrameRate | None = None
     random: bool = False
+    nominal: bool = False
 
     def __post_init__(self) -> None:
         plain_fields(self)
-        require(isinstance(self.random, bool), "random", repr(self.random), "True or False")
+        for name in _FLAGS:
+            value = getattr(self, name)
+            require(isinstance(value, bool), name, repr(value), "True or False")
         for name, kind in EFFECTS.items():
             _check(kind, getattr(self, name))
 
@@ -125,8 +133,9 @@ class Effects:
 
         Args:
             device: The capsule.
-            seed: Seed of the unit; None for the nominal values of its model.
+            seed: Seed of the unit; None for the nominal values of its model, as with `nominal`.
         """
+        seed = None if self.nominal else seed
         own: dict[str, Any] = dict.fromkeys(_OF_CAMERA, 0)
         if device.image_chain is not None:
             own |= unit_effects(device.image_chain, seed)
@@ -136,7 +145,8 @@ class Effects:
             own["adaptive_frame_rate"] = AdaptiveFrameRate(
                 device.lowest_frame_rate, device.frame_rate
             )
-        return replace(self, **{k: v for k, v in own.items() if getattr(self, k) is None})
+        own = {k: v for k, v in own.items() if getattr(self, k) is None}
+        return replace(self, nominal=False, **own)
 
     def without_device(self, device: Device, seed: int | None = None) -> Effects:
         """Return the inverse of `of_device`: None for each effect equal to the capsule's own."""
@@ -240,7 +250,7 @@ def _effect_of(hint: Any) -> type[Effect]:
 EFFECTS: dict[str, type[Effect]] = {
     f.name: _effect_of(get_type_hints(Effects)[f.name])
     for f in fields(Effects)
-    if f.name != "random"
+    if f.name not in _FLAGS
 }
 """Classes of all effects by name, in their order."""
 
@@ -256,8 +266,8 @@ _OF_CAMERA = [name for name, kind in EFFECTS.items() if not issubclass(kind, Sce
 SHORT_NAMES = {kind.short: name for name, kind in EFFECTS.items() if kind.short}
 """Short names of effects."""
 
-_ALL, _RANDOM, _NONE, _DEFAULT = "all", "random", "none", "default"
-RESETS = (_DEFAULT, _NONE, _RANDOM)
+_ALL, _NONE, _DEFAULT = "all", "none", "default"
+RESETS = (_DEFAULT, "nominal", _NONE, "random")
 """Items of `parse_effects` that override all effects of the camera."""
 _RANDOM_COUNT, _RANDOM_SEVERITY = (3, 5), (1, 2)
 """Ranges of the number of random effects and of their severities: higher ones of several effects
@@ -275,10 +285,11 @@ def parse_effects(text: str) -> Effects:
     """Parse effects from a string such as `specular=3,dof=1`.
 
     Items are separated by commas; later items override earlier ones: `default` for the capsule's
-    own camera, `none` for an ideal camera with fixed exposure, `NAME=SEVERITY`, `NAME=FIRST..LAST`
-    to sample a severity, `all=SEVERITY` for every effect, `random` to sample three to five effects
-    at severity 1 or 2; `ae=settled`, `bayer=rggb`, and `afr=MIN..MAX` in frames per second. Effects
-    that are not named are the capsule's own.
+    own camera, `nominal` for that of its model without differences between units, `none` for an
+    ideal camera with fixed exposure, `NAME=SEVERITY`, `NAME=FIRST..LAST` to sample a severity,
+    `all=SEVERITY` for every effect, `random` to sample three to five effects at severity 1 or 2;
+    `ae=settled`, `bayer=rggb`, and `afr=MIN..MAX` in frames per second. Effects that are not named
+    are the capsule's own.
 
     Raises:
         UnknownNameError: If an effect does not exist.
@@ -296,7 +307,7 @@ def parse_effects(text: str) -> Effects:
             )
         if name in RESETS:
             values |= dict.fromkeys(_OF_CAMERA, 0 if name == _NONE else None)
-            values["random"] = name == _RANDOM
+            values |= {flag: name == flag for flag in _FLAGS}
         elif name == _ALL:
             severity = _All.parse(value)
             _check(_All, severity)

@@ -90,8 +90,9 @@ from its defaults: polyp-Ip:size=12mm,segment=sigmoid, colitis-2, bleeding-3. vr
 lists all."""
 _EFFECTS = """Camera effects by severity 0 to 4, such as dof=1,noise=2, noise=1..3 (a range, sampled
 by the seed), all=2, random (three to five effects at severity 1 or 2), ae=settled, bayer=rggb,
-afr=4..35; default is the capsule's own camera, none an ideal camera of fixed exposure. An effect
-that is not named is the capsule's own. vrcaps organ list lists all effects."""
+afr=4..35; default is the capsule's own camera, nominal that of its model without differences
+between units, none an ideal camera of fixed exposure. An effect that is not named is the capsule's
+own. vrcaps organ list lists all effects."""
 
 OrganFlags = _flags(
     "Organ",

@@ -188,6 +188,27 @@ def test_training_drops_the_exposure_of_a_fraction_of_images() -> None:
         assert abs(sum(changed) - expected) <= 6 * (0.0 < dropout < 1.0)
 
 
+def test_unknown_exposures_change_up_to_their_maximum() -> None:
+    pytest.importorskip("torch", reason="PyTorch is not installed")
+    from vrcaps.learn.augment import Augmentation
+    from vrcaps.learn.tasks.depth import DepthTask
+
+    none = Augmentation(1.0, 1.0, 1.0, 1.0)
+    image = np.full((32, 32, 3), 64, np.uint8)
+    maps = {"ray": np.ones((32, 32, 3)), "depth": np.ones((32, 32))}
+    light = linear_from_srgb(image).mean()
+    for limit in (1.0, 2.0, 8.0):
+        learner = DepthTask(
+            Backbone(32), exposure_dropout=1.0, max_exposure=limit, augmentation=none
+        )
+        samples = (
+            learner.augment({"image": image, **maps}, np.random.default_rng(k)) for k in range(60)
+        )
+        ratios = [linear_from_srgb(one["image"]).mean() / light for one in samples]
+        assert max(ratios) == pytest.approx(limit, rel=0.15)
+        assert min(ratios) == pytest.approx(1.0 / limit, rel=0.15)
+
+
 def test_training_changes_colors_of_images_of_unknown_exposure_alone() -> None:
     pytest.importorskip("torch", reason="PyTorch is not installed")
     from vrcaps.learn.augment import Augmentation

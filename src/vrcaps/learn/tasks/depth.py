@@ -66,8 +66,6 @@ _MIRRORED = ((), (3,), (2,), (2, 3))
 """Axes along which an image [b 3 s s] is mirrored: columns (3), whose rays change the sign of x,
 and rows (2), whose rays change that of y."""
 _SCALES = 4
-_MAX_EXPOSURE = 4.0
-"""Maximum change of an exposure that is treated as unknown, as a factor."""
 DepthTerms: TypeAlias = tuple[DepthErrors, float, float, float]
 """Depth errors of one frame: unaligned, scaled by the median, rank correlation, ln scale."""
 
@@ -88,7 +86,9 @@ class DepthTask(BackboneTask[DepthTerms]):
         mirroring: Whether a prediction is the mean over the image and its three mirror images
             (test-time augmentation), which takes four times as long.
         exposure_dropout: Fraction of training images whose exposure is treated as unknown: changed
-            by up to a factor of 4, and compensated as in prediction.
+            by up to a factor of `max_exposure`, and compensated as in prediction.
+        max_exposure: Maximum change of such an exposure, as a factor. High ones saturate large
+            parts of images.
         augmentation: Random changes of training images. Colors are changed only where the exposure
             is unknown.
     """
@@ -99,6 +99,7 @@ class DepthTask(BackboneTask[DepthTerms]):
     normalizes_exposure: bool = False
     mirroring: bool = False
     exposure_dropout: Annotated[float, Range(0.0, 1.0)] = 0.25
+    max_exposure: Annotated[float, Range(1.0, 16.0)] = 4.0
     augmentation: Augmentation = field(default_factory=lambda: Augmentation(1.2, 1.2, 1.15, 0.6))
 
     kind: ClassVar[str] = "depth"
@@ -164,7 +165,7 @@ class DepthTask(BackboneTask[DepthTerms]):
             sample["ray"] = sample["ray"][..., [1, 0, 2]]
         image = sample["image"]
         if rng.random() < self.exposure_dropout:
-            image = _exposed(image, rng)
+            image = _exposed(image, self.max_exposure ** rng.uniform(-1.0, 1.0))
         elif sample.get("log_scale", 0.0) == 0.0:
             return sample
         image = self.augmentation.recolor(image, rng)
@@ -222,11 +223,8 @@ class DepthTask(BackboneTask[DepthTerms]):
         return {".png": CHANNELS["depth"].encoding.encode(letterbox.back(depth_of(output)))}
 
 
-def _exposed(
-    image: UInt8[np.ndarray, "s s 3"], rng: np.random.Generator
-) -> UInt8[np.ndarray, "s s 3"]:
-    """Change the exposure of an image at random; saturated values are lost."""
-    factor = _MAX_EXPOSURE ** rng.uniform(-1.0, 1.0)
+def _exposed(image: UInt8[np.ndarray, "s s 3"], factor: float) -> UInt8[np.ndarray, "s s 3"]:
+    """Change the exposure of an image by a factor; saturated values are lost."""
     return srgb_from_linear(np.clip(factor * linear_from_srgb(image), 0.0, 1.0))
 
 

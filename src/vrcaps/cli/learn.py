@@ -343,8 +343,8 @@ def _report_skipped(skipped: dict[str, str]) -> None:
 _PUBLISHED = {"depth", "segmentation", "classification", "super-resolution"}
 """Tasks whose examples need no file of weights."""
 _CHOICES = {
-    "depth": "Published weights: depth (default) for colonoscopes and wide lumens; "
-    "--weights depth-capsule for capsules and narrow lumens."
+    "depth": "Published weights: --weights depth-capsule for capsules and narrow lumens, "
+    "depth-endoscope for endoscopes in wide lumens; depth (default) for both, less accurate."
 }
 """Choice between several published weights of a task."""
 _UNITS = {

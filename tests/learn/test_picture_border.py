@@ -188,6 +188,25 @@ def test_training_drops_the_exposure_of_a_fraction_of_images() -> None:
         assert abs(sum(changed) - expected) <= 6 * (0.0 < dropout < 1.0)
 
 
+def test_masks_turn_with_their_image() -> None:
+    """With `mirroring` a mask is equivariant; without it, an untrained network's is not."""
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+    from vrcaps.learn.tasks.segmentation import SegmentationTask
+
+    torch.manual_seed(0)
+    network = SegmentationTask(backbone=Backbone(64), mirroring=True).network(is_pretrained=False)
+    image = torch.rand(2, 3, 64, 64)
+    for is_mirroring, is_equivariant in ((True, True), (False, False)):
+        network.eval().mirroring = is_mirroring
+        with torch.inference_mode():
+            mask = network(image)
+            turned = network(image.transpose(2, 3).flip(3)).flip(3).transpose(2, 3)
+        assert is_equivariant == torch.allclose(mask, turned, atol=1e-4)
+        assert (mask[0] - mask[1]).abs().max() > 1e-3
+    network.train().mirroring = True
+    assert network(image).shape == (2, 1, 64, 64)
+
+
 def test_unknown_exposures_change_up_to_their_maximum() -> None:
     pytest.importorskip("torch", reason="PyTorch is not installed")
     from vrcaps.learn.augment import Augmentation

@@ -74,6 +74,10 @@ def imagenet_weights() -> dict[str, Tensor]:
     return dict(zip(names, stored.values(), strict=True))
 
 
+MIRRORED: tuple[tuple[int, ...], ...] = ((), (3,), (2,), (2, 3))
+"""Axes along which an image [b 3 s s] is mirrored: columns (3) and rows (2)."""
+
+
 class UNet(nn.Module):
     """U-Net from maps [b inputs s s] to maps [b outputs s s].
 
@@ -99,6 +103,23 @@ class UNet(nn.Module):
         """Return the output maps of color images and further input maps."""
         color = 2.0 * image - 1.0
         return self.net(torch.cat([color, *maps], dim=1) if maps else color)
+
+
+class OrientedUNet(UNet):
+    """U-Net from color images; with `mirroring`, a mean over the eight orientations of images."""
+
+    mirroring = False
+
+    def forward(self, image: Tensor, *maps: Tensor) -> Tensor:
+        """Return the output maps [b outputs s s] of color images [b 3 s s]."""
+        if self.training or not self.mirroring:
+            return super().forward(image, *maps)
+        outputs = []
+        for turned, back in ((image, False), (image.transpose(2, 3), True)):
+            for axes in MIRRORED:
+                output = super().forward(turned.flip(axes)).flip(axes)
+                outputs.append(output.transpose(2, 3) if back else output)
+        return torch.stack(outputs).mean(dim=0)
 
 
 def _unet(encoder: str, inputs: int, outputs: int, *, is_pretrained: bool) -> nn.Module:

@@ -29,7 +29,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.fields import Range, check_fields
 from vrcaps.learn.augment import Augmentation, flip, transpose
 from vrcaps.learn.baselines import log_depth_baselines
-from vrcaps.learn.networks import Backbone, UNet
+from vrcaps.learn.networks import MIRRORED, Backbone, UNet
 from vrcaps.learn.picture_border import (
     LENS_NEEDED,
     Letterbox,
@@ -62,9 +62,6 @@ MIDDLE = 0.03
 
 _DARK = 0.004
 """Offset of the linear brightness in the light cue: one step of 8 bits."""
-_MIRRORED = ((), (3,), (2,), (2, 3))
-"""Axes along which an image [b 3 s s] is mirrored: columns (3), whose rays change the sign of x,
-and rows (2), whose rays change that of y."""
 _SCALES = 4
 DepthTerms: TypeAlias = tuple[DepthErrors, float, float, float]
 """Depth errors of one frame: unaligned, scaled by the median, rank correlation, ln scale."""
@@ -272,7 +269,8 @@ class DepthNetwork(UNet):
             return self._log_depth(image, *maps)
         (ray,) = maps
         log_depths = []
-        for axes in _MIRRORED:
+        for axes in MIRRORED:
+            # Mirrored columns change the sign of a ray's x, mirrored rows that of its y.
             sign = ray.new_tensor([1.0 - 2.0 * (axis in axes) for axis in (3, 2, 1)])
             mirrored = ray.flip(axes) * sign.view(3, 1, 1)
             log_depths.append(self._log_depth(image.flip(axes), mirrored).flip(axes))

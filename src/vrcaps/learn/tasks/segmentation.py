@@ -18,7 +18,7 @@ from vrcaps.core.errors import InputError, require
 from vrcaps.core.fields import check_fields
 from vrcaps.learn.augment import Augmentation, random_flip, transpose
 from vrcaps.learn.baselines import mask_baselines
-from vrcaps.learn.networks import Backbone, UNet
+from vrcaps.learn.networks import Backbone, OrientedUNet
 from vrcaps.learn.picture_border import Letterbox
 from vrcaps.learn.task import MAX_CLASSES, BackboneTask, Batch, Losses, Metric, Sample, total
 from vrcaps.lesion.library import LESIONS
@@ -47,11 +47,15 @@ class SegmentationTask(BackboneTask[Scores]):
         classes: `lesion` for any lesion, kinds of lesions of a recording such as `polyp`, or names
             of labels.
         backbone: Input size and encoder of the network.
+        mirroring: Whether a prediction is the mean over the eight orientations of an image: its
+            mirror images and their transpositions (test-time augmentation). It takes eight times as
+            long.
         augmentation: Random changes of training images.
     """
 
     classes: tuple[str, ...] = (LESION,)
     backbone: Backbone = field(default_factory=Backbone)
+    mirroring: bool = False
     augmentation: Augmentation = field(default_factory=lambda: Augmentation(1.3, 1.25, 1.3, 0.6))
 
     kind: ClassVar[str] = "segmentation"
@@ -118,7 +122,9 @@ class SegmentationTask(BackboneTask[Scores]):
 
     def network(self, *, is_pretrained: bool) -> nn.Module:
         """Create a network from batches to logits [b c s s]."""
-        return UNet(self.backbone, 3, len(self.classes), is_pretrained=is_pretrained)
+        network = OrientedUNet(self.backbone, 3, len(self.classes), is_pretrained=is_pretrained)
+        network.mirroring = self.mirroring
+        return network
 
     def loss(self, network: nn.Module, batch: Batch) -> Losses:
         """Cross-entropy and Dice over the pixels of the images."""

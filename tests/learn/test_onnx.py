@@ -1,6 +1,7 @@
 """ONNX files of every task: what ONNX Runtime makes of them is what PyTorch makes."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -36,6 +37,11 @@ TINY = {
 }
 
 
+MIRRORED = {
+    f"{one}, mirrored": replace(TINY[one], mirroring=True) for one in ("depth", "segmentation")
+}
+
+
 def _trained(learner):
     """A new network whose layers all take part."""
     torch.manual_seed(0)
@@ -51,17 +57,18 @@ def test_every_task_is_tested():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", TINY)
+@pytest.mark.parametrize("task", [*TINY, *MIRRORED])
 def test_onnx_runtime_gives_what_pytorch_gives(task, tmp_path):
-    trained = _trained(TINY[task])
+    learner = (TINY | MIRRORED)[task]
+    trained = _trained(learner)
     path = tmp_path / "network.onnx"
     write_onnx(path, trained)
     assert onnx_difference(path, trained) < 1e-4
     session = runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     assert [one.name for one in session.get_inputs()] == list(trained.task.input_names)
     said = session.get_modelmeta().custom_metadata_map
-    assert (said["task"], said["output"]) == (task, trained.task.output_text)
-    assert json.loads(said["learner"]) == to_plain(TINY[task], type(TINY[task]))
+    assert (said["task"], said["output"]) == (learner.kind, trained.task.output_text)
+    assert json.loads(said["learner"]) == to_plain(learner, type(learner))
     for count in (1, 5):
         side = 40 if task == "super-resolution" else 32
         given = {

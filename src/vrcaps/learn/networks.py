@@ -78,6 +78,11 @@ MIRRORED: tuple[tuple[int, ...], ...] = ((), (3,), (2,), (2, 3))
 """Axes along which an image [b 3 s s] is mirrored: columns (3) and rows (2)."""
 
 
+def mirror(maps: Tensor, axes: tuple[int, ...]) -> Tensor:
+    """Return maps mirrored along axes; a flip along none is no valid operation of ONNX files."""
+    return maps.flip(axes) if axes else maps
+
+
 class UNet(nn.Module):
     """U-Net from maps [b inputs s s] to maps [b outputs s s].
 
@@ -117,7 +122,7 @@ class OrientedUNet(UNet):
         outputs = []
         for turned, back in ((image, False), (image.transpose(2, 3), True)):
             for axes in MIRRORED:
-                output = super().forward(turned.flip(axes)).flip(axes)
+                output = mirror(super().forward(mirror(turned, axes)), axes)
                 outputs.append(output.transpose(2, 3) if back else output)
         return torch.stack(outputs).mean(dim=0)
 

@@ -29,7 +29,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.fields import Range, check_fields
 from vrcaps.learn.augment import Augmentation, flip, transpose
 from vrcaps.learn.baselines import log_depth_baselines
-from vrcaps.learn.networks import MIRRORED, Backbone, UNet
+from vrcaps.learn.networks import MIRRORED, Backbone, UNet, mirror
 from vrcaps.learn.picture_border import (
     LENS_NEEDED,
     Letterbox,
@@ -272,8 +272,8 @@ class DepthNetwork(UNet):
         for axes in MIRRORED:
             # Mirrored columns change the sign of a ray's x, mirrored rows that of its y.
             sign = ray.new_tensor([1.0 - 2.0 * (axis in axes) for axis in (3, 2, 1)])
-            mirrored = ray.flip(axes) * sign.view(3, 1, 1)
-            log_depths.append(self._log_depth(image.flip(axes), mirrored).flip(axes))
+            mirrored = mirror(ray, axes) * sign.view(3, 1, 1)
+            log_depths.append(mirror(self._log_depth(mirror(image, axes), mirrored), axes))
         return torch.stack(log_depths).mean(dim=0)
 
     def _log_depth(self, image: Tensor, *maps: Tensor) -> Tensor:

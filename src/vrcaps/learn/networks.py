@@ -79,7 +79,10 @@ MIRRORED: tuple[tuple[int, ...], ...] = ((), (3,), (2,), (2, 3))
 
 
 def mirror(maps: Tensor, axes: tuple[int, ...]) -> Tensor:
-    """Return maps mirrored along axes; a flip along none is no valid operation of ONNX files."""
+    """Return maps mirrored along axes, which may be none.
+
+    ONNX Runtime does not load a flip along no axes, so such maps are returned as they are.
+    """
     return maps.flip(axes) if axes else maps
 
 

@@ -24,13 +24,13 @@ from pathlib import Path
 
 from benchmarks.sim_to_real.cells import Cell, RowFile, ordered_cells
 from benchmarks.sim_to_real.initialize import is_possible, lacks
-from benchmarks.sim_to_real.options import check_tasks, experiment_parser
+from benchmarks.sim_to_real.options import check_amounts, check_tasks, experiment_parser
 from benchmarks.sim_to_real.page import PAGE, report
 from benchmarks.sim_to_real.real import found_layouts
-from benchmarks.sim_to_real.run import DEPTH_ARMS, ONE_NETWORK, complete
+from benchmarks.sim_to_real.run import DEPTH_ARMS, ONE_NETWORK, complete_cells
 from benchmarks.sim_to_real.setup import Setup
 from benchmarks.sim_to_real.tasks import DEPTH, DEPTH_TASK, FRACTIONS, TASKS, Task
-from vrcaps.core.errors import InputError, VrcapsError, require
+from vrcaps.core.errors import InputError, VrcapsError
 
 
 def parsed() -> argparse.Namespace:
@@ -70,14 +70,13 @@ def run(given: argparse.Namespace, rows: RowFile) -> None:
         given.preset,
         given.device,
     )
-    complete(setup, main_cells(given, setup), rows, given.workers)
+    complete_cells(setup, main_cells(given, setup), rows, given.workers)
 
 
 def main_cells(given: argparse.Namespace, setup: Setup) -> list[Cell]:
     """Cells of the tasks with data."""
     check_tasks(given.tasks)
-    for fraction in given.fractions:
-        require(0.0 < fraction <= 1.0, "A fraction", fraction, "above 0, at most 1")
+    check_amounts(given.fractions, given.seeds)
     tasks = [t for t in TASKS.values() if t.name in given.tasks and t.layout in setup.real]
     arms = {task.name: possible_arms(setup, task) for task in tasks}
     cells = ordered_cells(arms, given.fractions, given.seeds) if arms else []

@@ -43,7 +43,7 @@ from benchmarks.sim_to_real.page import (
     write_part,
 )
 from benchmarks.sim_to_real.real import found_layouts
-from benchmarks.sim_to_real.run import DEPTH_READERS, complete
+from benchmarks.sim_to_real.run import DEPTH_READERS, complete_cells
 from benchmarks.sim_to_real.setup import Setup
 from benchmarks.sim_to_real.tasks import DEPTH, TASKS
 from vrcaps.core.errors import InputError, VrcapsError
@@ -78,7 +78,7 @@ def run(given: argparse.Namespace, rows: RowFile) -> None:
     variants = {name: str(given.run / "variants" / folder) for name, folder in VARIANTS.items()}
     made_variants(given.run, given.workers)
     setup = Setup(real, given.run, preset=given.preset, device=given.device, variants=variants)
-    complete(setup, cells, rows, given.workers)
+    complete_cells(setup, cells, rows, given.workers)
 
 
 def cells_of(tasks: Sequence[str], layouts: Sequence[str], seeds: int) -> list[Cell]:

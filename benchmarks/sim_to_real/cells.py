@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -139,6 +140,30 @@ class RowFile:
     def has(self, cell: Cell, made_of: Mapping[str, str]) -> bool:
         """Return whether there is a row of a cell with these settings and data."""
         return cell_key(cell, made_of) in self.rows
+
+
+def complete(
+    cells: Sequence[Cell],
+    rows: RowFile,
+    made_of: Callable[[Cell], dict[str, str]],
+    made_rows: Callable[[Sequence[Cell]], Iterable[Row]],
+) -> None:
+    """Run the cells that have no row yet, and report the progress.
+
+    Args:
+        cells: All cells of the experiment.
+        rows: File of their rows.
+        made_of: Names of the settings and data of a cell.
+        made_rows: Makes the rows of cells, in any order.
+    """
+    missing = [cell for cell in cells if not rows.has(cell, made_of(cell))]
+    print(f"{len(cells)} networks, {len(cells) - len(missing)} of them known.", flush=True)
+    began = time.monotonic()
+    for done, row in enumerate(made_rows(missing), 1):
+        rows.add(row)
+        left = (time.monotonic() - began) / done * (len(missing) - done) / 60.0
+        note = f"{row.cell}: {row.seconds:.0f} s, {left:.0f} min left"
+        print(f"{done}/{len(missing)} {note}", flush=True)
 
 
 def _read(path: Path) -> list[Row]:

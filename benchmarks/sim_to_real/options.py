@@ -10,7 +10,7 @@ from pathlib import Path
 from benchmarks.common.sections import module_of
 from benchmarks.sim_to_real.real import LAYOUTS
 from benchmarks.sim_to_real.tasks import DEPTH, PRESETS, TASKS
-from vrcaps.core.errors import UnknownNameError
+from vrcaps.core.errors import UnknownNameError, require
 
 KNOWN = (*TASKS, DEPTH)
 
@@ -48,3 +48,14 @@ def check_tasks(names: Sequence[str]) -> None:
     for name in names:
         if name not in KNOWN:
             raise UnknownNameError("task", name, KNOWN)
+
+
+def check_amounts(fractions: Sequence[float], seeds: int) -> None:
+    """Reject fractions of the real images and numbers of seeds that are out of range.
+
+    Raises:
+        InputError: If one is.
+    """
+    for fraction in fractions:
+        require(0.0 < fraction <= 1.0, "A fraction", fraction, "above 0, at most 1")
+    require(seeds >= 1, "The number of seeds", seeds, "1 or more")

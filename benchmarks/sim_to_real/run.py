@@ -8,12 +8,12 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from benchmarks.sim_to_real.cells import LONG, LONG_FACTOR, Cell, Row, RowFile, digest_of
+from benchmarks.sim_to_real.cells import LONG, LONG_FACTOR, Cell, Row, RowFile, complete, digest_of
 from benchmarks.sim_to_real.depth import (
     by_light,
     by_mean,
@@ -161,18 +161,6 @@ def folder_digest(folder: Path) -> str:
     return digest_of(files)
 
 
-def complete(setup: Setup, cells: Sequence[Cell], rows: RowFile, workers: int) -> None:
-    """Run the cells that have no row yet, and report the progress."""
-    missing = [cell for cell in cells if not rows.has(cell, made_of(setup, cell))]
-    print(f"{len(cells)} networks, {len(cells) - len(missing)} of them known.", flush=True)
-    began = time.monotonic()
-    for done, row in enumerate(made_rows(setup, missing, workers), 1):
-        rows.add(row)
-        left = (time.monotonic() - began) / done * (len(missing) - done) / 60.0
-        note = f"{row.cell}: {row.seconds:.0f} s, {left:.0f} min left"
-        print(f"{done}/{len(missing)} {note}", flush=True)
-
-
 def _first_name(setup: Setup, cell: Cell) -> str:
     """Pre-training of a cell's network, by the folder of its weights."""
     if (given := given_weights(setup, cell)) is not None:
@@ -181,7 +169,12 @@ def _first_name(setup: Setup, cell: Cell) -> str:
     return str(first_folder(setup, cell, task.first_learners(setup.effort(task))[-1]))
 
 
-def made_rows(setup: Setup, cells: Sequence[Cell], workers: int) -> Iterator[Row]:
+def complete_cells(setup: Setup, cells: Sequence[Cell], rows: RowFile, workers: int) -> None:
+    """Run the cells that have no row yet, and report the progress."""
+    complete(cells, rows, partial(made_of, setup), partial(made_rows, setup, workers))
+
+
+def made_rows(setup: Setup, workers: int, cells: Sequence[Cell]) -> Iterator[Row]:
     """Rows of cells in the order of completion, made in one or several processes."""
     if workers < 2:
         yield from (run_cell(setup, cell) for cell in cells)

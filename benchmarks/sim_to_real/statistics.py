@@ -74,6 +74,31 @@ def difference_interval(
     return _interval(statistic, list(zip(first, second, strict=True)), resamples)
 
 
+def same_images_interval(
+    values: np.ndarray, groups: np.ndarray, *, resamples: int = RESAMPLES
+) -> Interval:
+    """Mean over seeds and images with its 95 % interval, if all seeds have the same images.
+
+    Seeds are drawn with replacement, and groups of images once for all of them, as the difficulty
+    of an image is common to all seeds.
+
+    Args:
+        values: Metric of each seed and image [s n], or its difference between two arms.
+        groups: Group of each image [n].
+        resamples: Number of draws.
+    """
+    draws = rng.stream(0, "benchmarks/same-images")
+    sums = [Judged(np.column_stack([one, np.ones_like(one)]), groups).sums() for one in values]
+    totals, sizes = np.array([one[:, 0] for one in sums]), sums[0][:, 1]
+    seeds, count = totals.shape
+    of_seeds = draws.multinomial(seeds, np.full(seeds, 1.0 / seeds), resamples) / seeds
+    of_groups = draws.multinomial(count, np.full(count, 1.0 / count), resamples)
+    means = np.einsum("rs,sg,rg->r", of_seeds, totals, of_groups) / (of_groups @ sizes)
+    tail = 0.5 * (1.0 - _LEVEL)
+    low, high = np.quantile(means, [tail, 1.0 - tail])
+    return Interval(float(values.mean()), float(low), float(high))
+
+
 def _interval(
     statistic: Statistic, seeds: Sequence[tuple[Judged, ...]], resamples: int
 ) -> Interval:

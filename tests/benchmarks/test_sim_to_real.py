@@ -34,7 +34,8 @@ from benchmarks.sim_to_real.setup import Setup
 from benchmarks.sim_to_real.simulated import our_classes, our_masks
 from benchmarks.sim_to_real.statistics import Judged, difference_interval, figure_interval
 from benchmarks.sim_to_real.tasks import OUR_LESIONS, TASKS
-from tests.support.small_frames import image_of, small_sequence
+from tests.support.real_folders import scene, write_real
+from tests.support.small_frames import small_sequence
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.cli.benchmarks.report import read_sections
@@ -58,12 +59,6 @@ SUMMARY = {
     "super-resolution": "super-resolution",
 }
 """Names of tasks in the summary of the page."""
-
-
-def scene(seed, side=96):
-    """A smooth image that resembles no other."""
-    values = np.random.default_rng(seed).integers(30, 255, (6, 6, 3), np.uint8)
-    return np.asarray(Image.fromarray(values).resize((side, side), Image.Resampling.BICUBIC))
 
 
 def mean(sums):
@@ -364,23 +359,6 @@ def test_variants_of_the_plan_lack_one_thing_each(tmp_path):
     for name in VARIANTS:
         differs = [key for key in {**base, **made[name]} if made[name].get(key) != base.get(key)]
         assert len(differs) == (name != COMPLETE)
-
-
-def write_real(folder, count=16):
-    """Small folders in the layouts of Kvasir-SEG and HyperKvasir."""
-    for number in range(count):
-        image = scene(number, 48).copy()
-        disk = image_of("instance", 2 * number + 1) > 0
-        image[disk] = [220, 30, 30]
-        kind = ("polyp", "ulcerative-colitis-grade-2", "other")[number % 3]
-        for part, pixels in (
-            ("kvasir_seg/images", image),
-            ("kvasir_seg/masks", np.where(disk, 255, 0).astype(np.uint8)),
-            (f"hyperkvasir/train/{kind}", scene(number + 50, 48)),
-        ):
-            (folder / part).mkdir(parents=True, exist_ok=True)
-            Image.fromarray(pixels).save(folder / part / f"{number}.png")
-    return folder
 
 
 def test_real_folders_become_pictures(tmp_path):

@@ -108,6 +108,7 @@ def test_impossible_cameras(change, match):
         (lambda: vrcaps.Led((0, 0, 0), emitter_radius=6e-3), "0 to 0.005 m .0 is a point light"),
         (lambda: vrcaps.Led((0, 0, 0), emitter_radius=float("nan")), "emitter_radius is nan"),
         (lambda: vrcaps.led_ring(0, radius=1e-3), "number of LEDs of the ring is 0"),
+        (lambda: vrcaps.led_ring(100_000, radius=1e-3), "is 100000. Allowed: 1 to 4096"),
         (lambda: vrcaps.led_ring(4, radius=0.0), "radius of the LED ring is 0.0"),
     ],
 )

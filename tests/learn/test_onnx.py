@@ -37,7 +37,7 @@ TINY = {
 }
 
 
-MIRRORED = {
+AVERAGED = {
     f"{one}, mirrored": replace(TINY[one], mirroring=True) for one in ("depth", "segmentation")
 }
 
@@ -57,9 +57,9 @@ def test_every_task_is_tested():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", [*TINY, *MIRRORED])
+@pytest.mark.parametrize("task", [*TINY, *AVERAGED])
 def test_onnx_runtime_gives_what_pytorch_gives(task, tmp_path):
-    learner = (TINY | MIRRORED)[task]
+    learner = (TINY | AVERAGED)[task]
     trained = _trained(learner)
     path = tmp_path / "network.onnx"
     write_onnx(path, trained)

@@ -350,6 +350,8 @@ def test_arrays_of_an_earlier_frame_are_used_again() -> None:
     assert again.rgb is first.rgb
     other = make_camera("equidistant")
     assert renderer.render(looking((0.0, 0.0, 0.003)), other, out=first).depth is not first.depth
+    first.rgb.flags.writeable = False
+    assert renderer.render(looking((0.0, 0.0, 0.003)), camera, out=first).rgb is not first.rgb
     fresh = renderer.render(looking((0.0, 0.0, 0.003)), camera, out=Frame())
     np.testing.assert_array_equal(fresh.depth, again.depth)
 

@@ -27,6 +27,8 @@ _RESERVED = ("capsule", "contact", "hall", "localized", "magnet", "patient", "wa
 _MAX_SIDE_PX = 16384
 MAX_PIXELS = 2**26
 """Maximum number of pixels of an image, 8192 × 8192: a tiny file may declare any size."""
+MAX_LEDS = 4096
+"""Maximum number of LEDs of a camera; each casts shadow rays in every pixel."""
 MAX_EMITTER_RADIUS = 5e-3
 """Maximum radius of an LED's emitter [m], about that of a capsule."""
 _ORTHONORMAL = 1e-6
@@ -101,7 +103,8 @@ def led_ring(
     require(0.0 < radius < np.inf, "radius of the LED ring", radius, "above 0 m")
     angles = plain_value(angles)
     if isinstance(angles, int):
-        require(angles > 0, "number of LEDs of the ring", angles, "1 or more")
+        is_valid = 0 < angles <= MAX_LEDS
+        require(is_valid, "number of LEDs of the ring", angles, f"1 to {MAX_LEDS}")
         angles = (2.0 * np.pi / angles * np.arange(angles)).tolist()
     theta = np.array(angles, float)
     circle = np.stack([np.cos(theta), np.sin(theta), np.zeros_like(theta)], axis=-1)
@@ -177,6 +180,8 @@ class Camera:
         for name in ("exposure", "image_circle_px", "nominal_field"):
             value = getattr(self, name)
             require(value is None or value > 0.0, f"{what} {name}", value, "above 0")
+        count = len(self.leds)
+        require(count <= MAX_LEDS, f"{what} number of LEDs", count, f"0 to {MAX_LEDS}")
         if self.exposure is None:
             object.__setattr__(self, "exposure", default_exposure(self.leds))
         _check_image(self)

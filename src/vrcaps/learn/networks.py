@@ -116,7 +116,11 @@ class UNet(nn.Module):
 class OrientedUNet(UNet):
     """U-Net from color images; with `mirroring`, a mean over the eight orientations of images."""
 
-    mirroring = False
+    def __init__(
+        self, backbone: Backbone, outputs: int, *, is_pretrained: bool, mirroring: bool = False
+    ) -> None:
+        super().__init__(backbone, 3, outputs, is_pretrained=is_pretrained)
+        self.mirroring = mirroring
 
     def forward(self, image: Tensor, *maps: Tensor) -> Tensor:
         """Return the output maps [b outputs s s] of color images [b 3 s s]."""

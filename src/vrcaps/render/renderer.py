@@ -319,6 +319,7 @@ class Renderer:
             shape, dtype = layout(name, camera)
             given = getattr(out, name, None)
             fits = given is not None and given.shape == shape and given.dtype == dtype
+            fits = fits and given.flags.carray  # contiguous and writable
             arrays[name] = given if fits else np.empty(shape, dtype)
             if name in CHANNELS and CHANNELS[name].stage == "dome":
                 arrays[name].fill(0)  # set by the camera pipeline

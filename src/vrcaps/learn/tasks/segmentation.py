@@ -122,9 +122,12 @@ class SegmentationTask(BackboneTask[Scores]):
 
     def network(self, *, is_pretrained: bool) -> nn.Module:
         """Create a network from batches to logits [b c s s]."""
-        network = OrientedUNet(self.backbone, 3, len(self.classes), is_pretrained=is_pretrained)
-        network.mirroring = self.mirroring
-        return network
+        return OrientedUNet(
+            self.backbone,
+            len(self.classes),
+            is_pretrained=is_pretrained,
+            mirroring=self.mirroring,
+        )
 
     def loss(self, network: nn.Module, batch: Batch) -> Losses:
         """Cross-entropy and Dice over the pixels of the images."""

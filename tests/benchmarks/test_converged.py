@@ -143,7 +143,7 @@ def test_a_run_resumes_and_writes_its_section(
     write_real(tmp_path / "real")
     page, run = tmp_path / "page.md", tmp_path / "run"
     command = ["converged.py", "--real", str(real), "--run", str(run), "--out", str(page)]
-    command += ["--weights", str(WEIGHTS), "--seeds", "1", "--size", "32", "--steps", "2"]
+    command += ["--weights", str(WEIGHTS), "--seeds", "1", "--size", "32", "--steps", "1"]
     monkeypatch.setattr(sys, "argv", [*command, "--fractions", "0.5"])
     converged.main()
     text = page.read_text()

@@ -135,6 +135,11 @@ def test_an_interrupted_recording_is_the_only_fault(episode, key):
         (lambda h: h.pop("T_world_patient"), "the pose of the patient is not rigid"),
         (lambda h: h["scenario"].update(frames=6), "scenario has other frames or channels"),
         (lambda h: h["scenario"].update(speed=1), "Unknown key speed"),
+        (lambda h: h.update(seed=h["seed"] + 1), "in the scenario"),
+        (lambda h: h.update(seed=None), "seed is None"),
+        (lambda h: h.update(vrcaps_version=1), "vrcaps_version is 1, not a text"),
+        (lambda h: h.update(made_with=["numpy"]), "made_with does not state"),
+        (lambda h: h["made_with"].update(numpy=2), "made_with does not state"),
         (lambda h: h.pop("organ"), "organ is None, not dict"),
         (lambda h: h.update(capsule=None), "capsule is None, not dict"),
         *(

@@ -116,6 +116,14 @@ def _check_status(path: Path) -> list[Problem]:
 
 
 def _check_head(episode: Episode) -> Iterator[Problem]:
+    seed, stated = episode.scenario.seed, episode.head.get("seed")
+    if stated != seed or type(stated) is not int:
+        yield Problem(EPISODE_JSON, f"seed is {stated!r}, but {seed} in the scenario")
+    if not isinstance(version := episode.head.get("vrcaps_version"), str):
+        yield Problem(EPISODE_JSON, f"vrcaps_version is {version!r}, not a text")
+    made_with = episode.head.get("made_with")
+    if not isinstance(made_with, dict) or not all(isinstance(v, str) for v in made_with.values()):
+        yield Problem(EPISODE_JSON, "made_with does not state one version as text for each name")
     for channel, plain in episode.head["channels"].items():
         if plain != channel_to_plain(channel):
             yield Problem(EPISODE_JSON, f"channels.{channel} is not the encoding of this format")

@@ -251,12 +251,19 @@ def test_exposure_scales_linear_light_and_noise_is_the_same_again() -> None:
 @pytest.mark.parametrize("learner", LEARNERS[:4], ids=ids[:4])
 def test_perturbations_reach_the_network(learner, capsys) -> None:
     trained, few = trained_of(learner), external().subset([0, 5])
-    rows = perturbed(trained, samples_of(learner, [few]))
+    rows, gains = perturbed(trained, samples_of(learner, [few]))
     assert list(rows) == [UNPERTURBED, *(one.name for one in PERTURBATIONS)]
     whole = evaluate(trained, samples_of(learner, [few]))
     assert rows[UNPERTURBED][NETWORK] == whole.metrics[learner.metric.name]
-    print_perturbed(rows, learner.metric.name)
-    assert "exposure × 0.1" in capsys.readouterr().out
+    assert list(gains) == list(rows)
+    for values, differences in zip(rows.values(), gains.values(), strict=True):
+        assert [*differences] == [name for name in values if name != NETWORK]
+        for name, (gain, low, high) in differences.items():
+            assert gain == pytest.approx(values[NETWORK] - values[name], nan_ok=True)
+            assert not low > gain + 1e-9 and not high < gain - 1e-9
+    print_perturbed(rows, gains, learner.metric.name)
+    shown = capsys.readouterr().out
+    assert shown.count("exposure × 0.1") == 2 and "minus that of each baseline" in shown
     if learner.kind == "super-resolution":  # truth stays clean
         sample = learner.perturbed_sample(external(), 1, Perturbation("dark", exposure=0.1))
         np.testing.assert_array_equal(sample["truth"], learner.sample(external(), 1)["truth"])
@@ -266,22 +273,25 @@ def test_perturbations_reach_the_network(learner, capsys) -> None:
 def test_an_evaluation_keeps_its_tables(tmp_path) -> None:
     nan = float("nan")
     table = {NETWORK: {"dice": (0.5, 0.4, 0.6)}, "nothing": {"dice": (0.0, nan, nan)}}
-    one = Evaluation("segmentation", "0", ("a",), "", 3, 0, {"dice": 0.5}, table, {}, "3 blocks")
+    gains = {"JPEG 75": {"nothing": (0.5, 0.4, nan)}}
+    stated = "segmentation", "0", ("a",), "", 3, 0, {"dice": 0.5}, table, {}, "3 blocks", gains
+    one = Evaluation(*stated)
     write_evaluation(tmp_path, one)
     read = read_evaluation(tmp_path)
     np.testing.assert_array_equal(read.table["nothing"]["dice"], [0.0, nan, nan])
+    np.testing.assert_array_equal(read.gains["JPEG 75"]["nothing"], [0.5, 0.4, nan])
     assert read.groups == "3 blocks" and read.scores == {"dice": 0.5}
 
 
 def test_a_card_shows_baselines_perturbed_frames_and_the_command() -> None:
     table = {NETWORK: {"dice": (0.5, 0.4, 0.6)}, "whole image": {"dice": (0.3, 0.2, 0.4)}}
-    rows = {UNPERTURBED: {NETWORK: 0.5}, "JPEG 75": {NETWORK: 0.25}}
-    one = Evaluation(
-        "segmentation", "0", ("images:a",), "test", 3, 0, {"dice": 0.5}, table, rows, "3 blocks"
-    )
+    rows = {name: {NETWORK: 0.25, "whole image": 0.3} for name in (UNPERTURBED, "JPEG 75")}
+    gains = {name: {"whole image": (-0.05, -0.1, 0.02)} for name in rows}
+    stated = "segmentation", "0", ("images:a",), "test", 3, 0
+    one = Evaluation(*stated, {"dice": 0.5}, table, rows, "3 blocks", gains)
     lines = results_of({"dice": 0.7}, [one], "segmentation")
     assert "| dice | 0.5 [0.4, 0.6] | 0.3 [0.2, 0.4] |" in lines
-    assert "| JPEG 75 | 0.25 |" in lines
+    assert "| JPEG 75 | 0.25 | 0.3 | -0.05 [-0.1, 0.02] |" in lines
     expected = "vrcaps evaluate segmentation --weights segmentation --data images:a --split test"
     assert f"{expected} --perturb" in lines
     plain = results_of({"dice": 0.7}, [], "segmentation")

@@ -215,17 +215,17 @@ class _Evaluate:
         samples = samples_of(trained.task, sequences)
         result = evaluate(trained, samples)
         table, groups = print_evaluation(trained, result, sequences)
-        rows: dict[str, dict[str, float]] = {}
+        rows, gains = {}, {}
         if self.perturb:
             with progress_bar("perturbing") as show:
-                rows = perturbed(trained, samples, progress=show)
-            print_perturbed(rows, main_metric(trained.task))
+                rows, gains = perturbed(trained, samples, progress=show)
+            print_perturbed(rows, gains, main_metric(trained.task))
         _report_skipped(samples.skipped)
         if self.out is None:
             return
         counts = len(result.samples), len(samples.skipped)
         stated = self.task, file_sha256(weights), self.data, self.split, *counts
-        evaluation = Evaluation(*stated, result.metrics, table, rows, groups)
+        evaluation = Evaluation(*stated, result.metrics, table, rows, groups, gains)
         write_evaluation_folder(self.out, evaluation, trained.task, result)
 
 

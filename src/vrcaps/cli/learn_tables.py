@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from vrcaps.cli.console import console
 
@@ -89,16 +89,32 @@ def print_comparison(table: Table, metrics: Mapping[str, float], frames: str, gr
         )
 
 
-def print_perturbed(rows: Mapping[str, Mapping[str, float]], metric: str) -> None:
-    """Print the main metric of each method on perturbed frames."""
+def print_perturbed(rows: Mapping[str, Mapping[str, float]], gains: Table, metric: str) -> None:
+    """Print the main metric of each method on perturbed frames, and differences to baselines.
+
+    Args:
+        rows: Metric by perturbation and method, the network first.
+        gains: Metric of the network minus that of each baseline, by perturbation.
+        metric: Name of the metric.
+    """
+    _print_frames(f"{metric} on perturbed frames", rows, _number)
+    if any(gains.values()):
+        title = f"{metric} of the network minus that of each baseline; 95 % intervals"
+        _print_frames(title, gains, _interval)
+
+
+def _print_frames(
+    title: str, rows: Mapping[str, Mapping[str, Any]], shown_as: Callable[[Any], str]
+) -> None:
+    """Print a value of each column by perturbation."""
     from rich.table import Table as RichTable
 
-    shown = RichTable(title=f"{metric} on perturbed frames", title_justify="left")
-    shown.add_column("frames")
-    for method in next(iter(rows.values())):
-        shown.add_column(method, justify="right")
+    shown = RichTable(title=title, title_justify="left")
+    shown.add_column("frames", no_wrap=True)
+    for column in next(iter(rows.values())):
+        shown.add_column(column, justify="right")
     for name, values in rows.items():
-        shown.add_row(name, *(_number(value) for value in values.values()))
+        shown.add_row(name, *map(shown_as, values.values()))
     console.print(shown)
 
 

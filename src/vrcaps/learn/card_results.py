@@ -71,16 +71,19 @@ def _comparison(one: Evaluation, name: str) -> list[str]:
         *_table(["", *one.table], rows),
     ]
     if one.perturbed:
-        first = next(iter(one.perturbed.values()))
-        lines += [
-            "Perturbed frames:",
-            "",
-            *_table(
-                ["", *first],
-                [[key, *map(_number, values.values())] for key, values in one.perturbed.items()],
-            ),
-        ]
+        lines += ["Perturbed frames:", "", *_perturbed(one)]
     return [*lines, "```sh", evaluate_command(one, name), "```", ""]
+
+
+def _perturbed(one: Evaluation) -> list[str]:
+    """Main metric by perturbation and method, and differences to the baselines."""
+    head = [*next(iter(one.perturbed.values()))]
+    head += [f"− {baseline}" for baseline in next(iter(one.gains.values()), {})]
+    rows = [
+        [key, *map(_number, values.values()), *map(_interval, one.gains.get(key, {}).values())]
+        for key, values in one.perturbed.items()
+    ]
+    return _table(["", *head], rows)
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

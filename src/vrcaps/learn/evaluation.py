@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 EVALUATION = "evaluation.json"
 Table: TypeAlias = Mapping[str, Mapping[str, Sequence[float]]]
 """Value, lower and upper end of an interval, by method and metric."""
-_NUMBERS = ("scores", "table", "perturbed")
+_NUMBERS = ("scores", "table", "perturbed", "gains")
 _BATCH = 8
 _ROWS = 6
 """Maximum number of frames of a picture."""
@@ -141,6 +141,8 @@ class Evaluation:
         scores: Metrics of the task; NaN if undefined.
         table: Metrics of the network and of baselines as [value, low, high], by method.
         perturbed: Main metric of each method on perturbed frames, by perturbation.
+        gains: Main metric of the network minus that of each baseline on the same perturbed frames
+            as [value, low, high], by perturbation.
         groups: Number and kind of the groups that the intervals resample.
     """
 
@@ -154,6 +156,7 @@ class Evaluation:
     table: Table = field(default_factory=dict)
     perturbed: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     groups: str = ""
+    gains: Table = field(default_factory=dict)
 
 
 def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
@@ -269,8 +272,8 @@ def perturbed(
     samples: Samples,
     *,
     progress: ProgressReport = no_report,
-) -> dict[str, dict[str, float]]:
-    """Main metric of a network and of the baselines on perturbed frames.
+) -> tuple[dict[str, dict[str, float]], Table]:
+    """Main metric of a network and of the baselines on perturbed frames, and their differences.
 
     Baselines are fitted to the perturbed frames, which favors them.
 
@@ -280,7 +283,8 @@ def perturbed(
         progress: Called with the number of perturbations done and the total.
 
     Returns:
-        The metric by method for each perturbation, the unchanged frames first.
+        The metric by method for each perturbation, the unchanged frames first; and the metric of
+            the network minus that of each baseline, with its 95 % interval, likewise.
 
     Raises:
         InputError: If no frame can be read.
@@ -288,14 +292,30 @@ def perturbed(
     task, chosen = trained.task, samples.evenly(_PERTURBED_FRAMES)
     frames = [samples.frames[k] for k in chosen]
     rows: dict[str, dict[str, float]] = {}
+    gains: dict[str, dict[str, tuple[float, float, float]]] = {}
     for done, change in enumerate((None, *PERTURBATIONS)):
         result = evaluate(trained, Samples(task, frames, perturbation=change))
         groups, _ = frame_groups(result.frames)
         methods = _methods(task, result, groups)
         name = UNPERTURBED if change is None else change.name
         rows[name] = {key: _main(task, terms) for key, terms in methods.items()}
+        gains[name] = _gains(task, methods, groups)
         progress(done + 1, len(PERTURBATIONS) + 1)
-    return rows
+    return rows, gains
+
+
+def _gains(
+    task: Task[Terms], methods: Mapping[str, Sequence[Terms]], groups: Sequence[str]
+) -> dict[str, tuple[float, float, float]]:
+    """Main metric of the network minus that of each baseline, on the same resampled frames."""
+
+    def difference(pairs: Sequence[tuple[Terms, Terms]]) -> Mapping[str, float]:
+        own, other = zip(*pairs, strict=True)
+        return {"gain": _main(task, own) - _main(task, other)}
+
+    network, names = methods[NETWORK], [name for name in methods if name != NETWORK]
+    pairs = {name: list(zip(network, methods[name], strict=True)) for name in names}
+    return {name: _bootstrapped(difference, pairs[name], groups)["gain"] for name in names}
 
 
 def main_metric(task: Task) -> str:

@@ -251,7 +251,12 @@ def test_exposure_scales_linear_light_and_noise_is_the_same_again() -> None:
 @pytest.mark.parametrize("learner", LEARNERS[:4], ids=ids[:4])
 def test_perturbations_reach_the_network(learner, capsys) -> None:
     trained, few = trained_of(learner), external().subset([0, 5])
-    rows, gains = perturbed(trained, samples_of(learner, [few]))
+    seen: list[tuple[int, int]] = []
+    rows, gains = perturbed(
+        trained, samples_of(learner, [few]), progress=lambda *counts: seen.append(counts)
+    )
+    total = 2 * (1 + len(PERTURBATIONS))
+    assert seen == sorted(set(seen)) and seen[-1] == (total, total)
     assert list(rows) == [UNPERTURBED, *(one.name for one in PERTURBATIONS)]
     whole = evaluate(trained, samples_of(learner, [few]))
     assert rows[UNPERTURBED][NETWORK] == whole.metrics[learner.metric.name]

@@ -213,7 +213,8 @@ class _Evaluate:
         with progress_bar("reading") as show:
             sequences = [s for s in read_sources(self.data, show) if self.split in ("", s.split)]
         samples = samples_of(trained.task, sequences)
-        result = evaluate(trained, samples)
+        with progress_bar("evaluating") as show:
+            result = evaluate(trained, samples, progress=show)
         table, groups = print_evaluation(trained, result, sequences)
         rows, gains = {}, {}
         if self.perturb:

@@ -55,7 +55,11 @@ class EvaluationResult:
 
 
 def evaluate(
-    trained: TrainedNetwork, samples: Samples, max_frames: int | None = None
+    trained: TrainedNetwork,
+    samples: Samples,
+    max_frames: int | None = None,
+    *,
+    progress: ProgressReport = no_report,
 ) -> EvaluationResult:
     """Evaluate a network on frames; unreadable ones are omitted and noted in `samples.skipped`.
 
@@ -63,6 +67,7 @@ def evaluate(
         trained: Task and network.
         samples: Frames with ground truth.
         max_frames: Maximum number of frames, evenly spaced; None for all.
+        progress: Called with the number of evaluated frames and the total.
 
     Raises:
         InputError: If no frame can be read.
@@ -80,6 +85,7 @@ def evaluate(
         outputs.extend(trained(batch))
         if task.metric.name == "loss":
             losses.append(trained.loss(batch))
+        progress(len(outputs), len(known))
     metrics = dict(task.metrics(outputs, known))
     if losses:
         metrics["loss"] = float(np.mean(losses))
@@ -280,7 +286,7 @@ def perturbed(
     Args:
         trained: Task and network.
         samples: Frames with ground truth; at most 100 are used, evenly spaced.
-        progress: Called with the number of perturbations done and the total.
+        progress: Called with the number of evaluated frames and the total, over all perturbations.
 
     Returns:
         The metric by method for each perturbation, the unchanged frames first; and the metric of
@@ -293,14 +299,19 @@ def perturbed(
     frames = [samples.frames[k] for k in chosen]
     rows: dict[str, dict[str, float]] = {}
     gains: dict[str, dict[str, tuple[float, float, float]]] = {}
-    for done, change in enumerate((None, *PERTURBATIONS)):
-        result = evaluate(trained, Samples(task, frames, perturbation=change))
+    changes = (None, *PERTURBATIONS)
+    for index, change in enumerate(changes):
+
+        def report(done: int, count: int, before: int = index) -> None:
+            progress(before * count + done, len(changes) * count)
+
+        changed = Samples(task, frames, perturbation=change)
+        result = evaluate(trained, changed, progress=report)
         groups, _ = frame_groups(result.frames)
         methods = _methods(task, result, groups)
         name = UNPERTURBED if change is None else change.name
         rows[name] = {key: _main(task, terms) for key, terms in methods.items()}
         gains[name] = _gains(task, methods, groups)
-        progress(done + 1, len(PERTURBATIONS) + 1)
     return rows, gains
 
 

@@ -273,7 +273,8 @@ def page_text(rows: Sequence[Row]) -> str:
     if not arms:
         raise InputError("There are no networks yet. Give --real to train them.")
     fractions = sorted({fraction for _, fraction in arms if fraction > 0.0})
-    hours = sum(row.seconds for row in rows) / 3600.0
+    known = [row for by_seed in arms.values() for row in by_seed.values()]
+    hours = sum(row.seconds for row in known) / 3600.0
     body = [
         [f"{100.0 * fraction:g} %", ARM_TITLES[arm], *cells_text(arms, arm, fraction)]
         for fraction in fractions
@@ -295,7 +296,7 @@ def page_text(rows: Sequence[Row]) -> str:
     gain_head = ["real images", "Kvasir-SEG", "BKAI-IGH NeoPolyp", "seeds"]
     parts = [
         "## Converged networks in the same and another hospital: results",
-        f"{len(rows)} networks and baselines, {hours:.1f} hours. Dice; in brackets 95 % intervals "
+        f"{len(known)} networks and baselines, {hours:.1f} hours. Dice; in brackets 95 % intervals "
         "over seeds and groups of images.",
         table(head, body),
         "*ImageNet + ours* minus *ImageNet*, in points of Dice:",
@@ -305,10 +306,13 @@ def page_text(rows: Sequence[Row]) -> str:
 
 
 def arms_of(rows: Sequence[Row]) -> Arms:
-    """Rows of each arm and fraction by seed, of the newest settings and data."""
+    """Rows of each arm and fraction by seed, of the newest settings, data and weights."""
+    basis = rows[-1].made_of["basis"] if rows else ""
+    kept = [row for row in rows if row.made_of["basis"] == basis]
+    first = {row.cell.arm: row.made_of["first"] for row in kept}
     found: dict[tuple[str, float], dict[int, Row]] = {}
-    for row in rows:
-        if row.made_of["basis"] == rows[-1].made_of["basis"]:
+    for row in kept:
+        if row.made_of["first"] == first[row.cell.arm]:
             found.setdefault((row.cell.arm, row.cell.fraction), {})[row.cell.seed] = row
     return {key: dict(sorted(by_seed.items())) for key, by_seed in found.items()}
 

@@ -86,8 +86,10 @@ def test_differences_are_over_common_seeds_in_points() -> None:
 def test_rows_of_other_settings_are_left_out() -> None:
     old = row(IMAGENET, 0, 0.1, 0.1)
     old.made_of["basis"] = "b"
-    found = converged.arms_of([old, row(IMAGENET, 1, 0.6, 0.4)])
-    assert [*found[IMAGENET, 0.1]] == [1]
+    other = row(OURS, 0, 0.1, 0.1)
+    other.made_of["first"] = "weights of another training"
+    found = converged.arms_of([old, other, row(OURS, 1, 0.6, 0.4), row(IMAGENET, 1, 0.6, 0.4)])
+    assert [*found[IMAGENET, 0.1]] == [*found[OURS, 0.1]] == [1]
 
 
 def test_a_centered_disc_has_dice_one_on_centered_discs() -> None:

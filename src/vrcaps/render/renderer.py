@@ -318,8 +318,8 @@ class Renderer:
         for name in names:
             shape, dtype = layout(name, camera)
             given = getattr(out, name, None)
-            fits = given is not None and given.shape == shape and given.dtype == dtype
-            fits = fits and given.flags.carray  # contiguous and writable
+            given = np.empty(0) if given is None or not given.flags.carray else given  # writable
+            fits = given.shape == shape and given.dtype == dtype
             arrays[name] = given if fits else np.empty(shape, dtype)
             if name in CHANNELS and CHANNELS[name].stage == "dome":
                 arrays[name].fill(0)  # set by the camera pipeline

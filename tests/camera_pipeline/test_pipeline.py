@@ -1,3 +1,4 @@
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -490,6 +491,25 @@ def test_exposure_is_a_state_that_can_be_kept_and_set(renderer: Renderer) -> Non
     later.state = kept
     for frame, step in zip(frames[1:], steps[1:], strict=True):
         assert np.array_equal(np.asarray(later.capture(step).rgb), frame.rgb)
+
+
+def test_frames_may_be_finished_later_on_other_threads(renderer: Renderer) -> None:
+    """The same bytes as those of frames captured one by one."""
+    effects = Effects(auto_exposure=2, motion_blur=2, sensor_noise=2, smears=2, jpeg=2)
+    channels = ("rgb", "depth", "dome_label", "flow_forward")
+    steps = [around(k) for k in range(3)]
+
+    def pipeline() -> CameraPipeline:
+        return CameraPipeline(renderer, CAMERA, effects, fps=4.0, seed=3, channels=channels)
+
+    one_by_one, begun = pipeline(), pipeline()
+    whole = [one_by_one.capture(step) for step in steps]
+    finish = [begun.begin_capture(step) for step in steps]
+    with ThreadPoolExecutor(3) as threads:
+        later = list(threads.map(lambda function: function(), reversed(finish)))
+    for frame, other in zip(whole, reversed(later), strict=True):
+        for channel in channels:
+            assert np.array_equal(getattr(frame, channel), getattr(other, channel), equal_nan=True)
 
 
 def test_settled_exposure_depends_on_no_other_frame(renderer: Renderer) -> None:

@@ -1,15 +1,18 @@
-"""Prefetching: the next item is computed in a thread, in order, and no further."""
+"""Work shared by threads: items computed one ahead, and functions that run once."""
 
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
 import pytest
 
 from tests.support.waiting import wait_until
-from vrcaps.core.processes import prefetch
+from vrcaps.core.errors import StorageError
+from vrcaps.core.processes import once, prefetch
 
 
 def test_prefetching_computes_one_item_ahead_in_another_thread() -> None:
@@ -51,3 +54,32 @@ def test_closing_a_prefetched_iterator_computes_no_more() -> None:
     with closing(prefetch(items())) as prefetched:
         assert next(prefetched) == 0
     assert computed == [0, 1]
+
+
+def test_once_calls_its_function_one_time_from_several_threads() -> None:
+    calls: list[None] = []
+
+    def slow() -> int:
+        calls.append(None)
+        time.sleep(0.05)
+        return len(calls)
+
+    result = once(slow)
+    with ThreadPoolExecutor(4) as threads:
+        found = list(threads.map(lambda _: result(), range(8)))
+    assert found == [1] * 8
+
+
+def test_once_calls_a_function_that_failed_again() -> None:
+    answers = iter([StorageError("full"), 7])
+
+    def sometimes() -> int:
+        answer = next(answers)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    result = once(sometimes)
+    with pytest.raises(StorageError, match="full"):
+        result()
+    assert (result(), result()) == (7, 7)

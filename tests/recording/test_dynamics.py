@@ -53,7 +53,7 @@ def digests(folder: Path) -> dict[str, str]:
 
 def broken_off(scenario: Scenario, out: Path, last: int = 3) -> Checkpoint:
     """Record the first four frames and the checkpoints up to one of them; the last checkpoint."""
-    render, reached = CapsuleCameras.capture, []
+    render, reached = CapsuleCameras.begin_capture, []
 
     def written(folder, checkpoint):
         if checkpoint.motion.frame <= last:
@@ -69,7 +69,7 @@ def broken_off(scenario: Scenario, out: Path, last: int = 3) -> Checkpoint:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recorder, "_CHECKPOINT_SECONDS", 0.0)
         patch.setattr(recorder, "write_checkpoint", written)
-        patch.setattr(CapsuleCameras, "capture", stopped)
+        patch.setattr(CapsuleCameras, "begin_capture", stopped)
         with pytest.raises(KeyboardInterrupt):
             record(scenario, out)
     found = read_checkpoint(out)
@@ -201,7 +201,7 @@ def test_a_broken_off_simulation_goes_on_from_its_checkpoint(
     """The same bytes; and only what comes after the checkpoint is simulated again."""
     out, rendered = tmp_path / "episode", []
     found = broken_off(simulated, out, last)
-    render = CapsuleCameras.capture
+    render = CapsuleCameras.begin_capture
     if missing is not None:
         (out / f"wall/{missing:06d}.npy").unlink()
     complete = complete_frames(out)
@@ -212,7 +212,7 @@ def test_a_broken_off_simulation_goes_on_from_its_checkpoint(
         rendered.append(step.index)
         return render(images, step)
 
-    monkeypatch.setattr(CapsuleCameras, "capture", counted)
+    monkeypatch.setattr(CapsuleCameras, "begin_capture", counted)
     record(simulated, out, simulated=lambda time, whole: times.append((time, whole)))
     assert digests(out) == digests(whole)
     assert rendered == [frame for frame in range(6) if frame not in complete]

@@ -313,14 +313,14 @@ def test_speed_of_the_writer_is_bounded_by_the_queue(scenario, tmp_path, monkeyp
         write(items)
         written.append(items)
 
-    render = CapsuleCameras.capture
+    render = CapsuleCameras.begin_capture
 
     def counted(*args):
         ahead.append(len(ahead) - len(written))
         return render(*args)
 
     monkeypatch.setattr(_core, "write_pngs", slow)
-    monkeypatch.setattr(CapsuleCameras, "capture", counted)
+    monkeypatch.setattr(CapsuleCameras, "begin_capture", counted)
     record(replace(scenario, frames=20, channels=("rgb",)), tmp_path / "episode")
     assert max(ahead) <= 6
     assert np.mean(ahead) > 1.0

@@ -20,6 +20,8 @@ const WIDEST: f32 = 16.0;
 
 /// Color of a pixel.
 type Color = [f32; 3];
+/// Color of a pixel, and its distance along its ray [m]; read together in any order.
+type Texel = [f32; 4];
 
 /// Points of a wall in an image.
 pub struct Points<'a> {
@@ -35,14 +37,18 @@ impl Points<'_> {
     /// Diffuses light in planes [3 h w], in place, by standard deviations along an axis [m].
     pub fn diffuse(&self, planes: &mut ArrayViewMut3<'_, f32>, deviations: Color) {
         let columns = self.size.1;
-        let color = |pixel: usize| [0, 1, 2].map(|k| planes[[k, pixel / columns, pixel % columns]]);
-        let colors: Vec<Color> =
-            (0..self.distance.len()).into_par_iter().with_min_len(4096).map(color).collect();
-        let diffused = self.along(&self.along(&colors, deviations, false), deviations, true);
+        let mut texels = vec![[0.0; 4]; self.distance.len()];
+        texels.par_chunks_mut(columns).enumerate().for_each(|(y, row)| {
+            for (x, texel) in row.iter_mut().enumerate() {
+                let [red, green, blue] = [0, 1, 2].map(|k| planes[[k, y, x]]);
+                *texel = [red, green, blue, self.distance[y * columns + x]];
+            }
+        });
+        let diffused = self.along(&self.along(&texels, deviations, false), deviations, true);
         let mut lines: Vec<_> = planes.axis_iter_mut(Axis(1)).collect();
         lines.par_iter_mut().enumerate().for_each(|(y, line)| {
             for x in 0..columns {
-                let (own, diffused) = (colors[y * columns + x], diffused[y * columns + x]);
+                let (own, diffused) = (texels[y * columns + x], diffused[y * columns + x]);
                 for k in 0..3 {
                     line[[k, x]] = own[k] + SHARE * (diffused[k] - own[k]);
                 }
@@ -51,11 +57,11 @@ impl Points<'_> {
     }
 
     /// Weighted means along the rows of an image, or along its columns.
-    fn along(&self, colors: &[Color], deviations: Color, is_column: bool) -> Vec<Color> {
-        let mut means = colors.to_vec();
+    fn along(&self, texels: &[Texel], deviations: Color, is_column: bool) -> Vec<Texel> {
+        let mut means = texels.to_vec();
         means.par_chunks_mut(self.size.1).enumerate().for_each(|(y, row)| {
             for (k, chunk) in row.chunks_mut(LANES).enumerate() {
-                write_means(self, colors, deviations, (y, k * LANES), is_column, chunk);
+                write_means(self, texels, deviations, (y, k * LANES), is_column, chunk);
             }
         });
         means
@@ -70,11 +76,11 @@ impl Points<'_> {
 ))]
 fn write_means(
     points: &Points<'_>,
-    colors: &[Color],
+    texels: &[Texel],
     deviations: Color,
     (row, column): (usize, usize),
     is_column: bool,
-    means: &mut [Color],
+    means: &mut [Texel],
 ) {
     let (rows, columns) = points.size;
     let (size, step) = if is_column { (rows, columns) } else { (columns, 1) };
@@ -103,21 +109,24 @@ fn write_means(
         }
     }
     let (mut along, mut across, mut light) = ([0.0; LANES], [0.0; LANES], [[0.0; LANES]; 3]);
+    let own: [i32; LANES] = std::array::from_fn(|i| (first + i.min(means.len() - 1)) as i32);
+    let (mut other, mut is_inside) = (own, [false; LANES]);
     for sample in 0..2 * SAMPLES {
         let sign = if sample % 2 == 0 { -1 } else { 1 };
-        for i in 0..means.len() {
+        for i in 0..LANES {
             let offset = sign * ((sample / 2 + 1) as f32 * spacing[i] + 0.5) as i32;
             let at = (if is_column { row } else { column + i }) as i32 + offset;
-            if !is_spread[i] || at < 0 || at >= size as i32 {
-                along[i] = f32::NAN;
-                continue;
-            }
-            let other = ((first + i) as i32 + offset * step as i32) as usize;
-            along[i] = points.distance[other] - distance[i];
+            is_inside[i] = is_spread[i] & (at >= 0) & (at < size as i32);
+            other[i] =
+                if is_inside[i] { (first + i) as i32 + offset * step as i32 } else { own[i] };
             across[i] = offset as f32 * footprint[i];
-            for k in 0..3 {
-                light[k][i] = colors[other][k];
-            }
+        }
+        for i in 0..LANES {
+            let [red, green, blue, distance] = texels[other[i] as usize];
+            (light[0][i], light[1][i], light[2][i], along[i]) = (red, green, blue, distance);
+        }
+        for i in 0..LANES {
+            along[i] = if is_inside[i] { along[i] - distance[i] } else { f32::NAN };
         }
         for k in 0..3 {
             for i in 0..LANES {
@@ -130,7 +139,9 @@ fn write_means(
     }
     for (i, mean) in means.iter_mut().enumerate() {
         if is_spread[i] {
-            *mean = [0, 1, 2].map(|k| sum[k][i] / whole[k][i]);
+            for k in 0..3 {
+                mean[k] = sum[k][i] / whole[k][i];
+            }
         }
     }
 }

@@ -3,6 +3,7 @@
 use crate::render::path::bsdf::{circle, frame};
 use crate::render::path::sobol::{dimension, hash, point, unit};
 use crate::simd::f32x64::*;
+use std::sync::LazyLock;
 
 /// An LED in the frame of the wall.
 #[derive(Clone, Copy)]
@@ -100,6 +101,13 @@ const SPREAD: f32 = 1.055_02;
 const ORDER: [[usize; PERIOD]; PERIOD] =
     [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]];
 
+/// Point in a plane.
+type Vec2 = [f32; 2];
+
+/// Samples of the unit disc, by index.
+static UNIT_DISC: LazyLock<[Vec2; SAMPLES]> =
+    LazyLock::new(|| std::array::from_fn(|number| on_disc(net_point(number))));
+
 /// Start of the shadow ray of each lane of a tile, relative to an LED's center: a sample of its
 /// disc that repeats every `PERIOD` pixels.
 ///
@@ -110,9 +118,10 @@ const ORDER: [[usize; PERIOD]; PERIOD] =
 pub fn disc_samples(led: &Led, number: usize) -> Lane3 {
     let (cosine, sine) = circle((0.618_034 * number as f32 + 0.07).fract());
     let [right, up] = frame(led.direction);
+    let samples: &[Vec2; SAMPLES] = &UNIT_DISC;
     let mut starts = [[0.0; LANES]; 3];
     for i in 0..LANES {
-        let [x, y] = on_disc(net_point(ORDER[i / TILE % PERIOD][i % PERIOD]));
+        let [x, y] = samples[ORDER[i / TILE % PERIOD][i % PERIOD]];
         let (x, y) = (cosine * x - sine * y, sine * x + cosine * y);
         for k in 0..3 {
             starts[k][i] = SPREAD * led.radius * (right[k] * x + up[k] * y);

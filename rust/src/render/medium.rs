@@ -33,8 +33,8 @@ const FARTHEST: f32 = 0.1;
 const MEAN_FLOCS: f32 = 0.016;
 
 /// Values of a node of the grid: backscattered light [3], transmittance of the camera's path [3]
-/// and of the LEDs' paths [3], and optical depth of scattering.
-const VALUES: usize = 10;
+/// and of the LEDs' paths [3], optical depth of scattering, and zeros that fill a vector.
+const VALUES: usize = 16;
 type Node = [f32; VALUES];
 
 /// The fluid in one view.
@@ -148,13 +148,19 @@ struct Line<'a, 'b> {
 ))]
 fn immerse_line(grid: &Grid, rig: &Rig<'_>, y: usize, distance: &[f32], out: Line<'_, '_>) {
     let Line { image, veil, clear } = out;
+    let rows = spline(y, grid.step, grid.rays.len() / grid.columns);
+    let mut depths = vec![0.0; distance.len()];
     for (x, &distance) in distance.iter().enumerate() {
-        let Some(node) = grid.at(rig, (y, x), distance) else { continue };
+        let Some(ray) = rig.ray(y * rig.size.1 + x) else { continue };
+        let Some(node) = grid.at(rig, (&rows, x), ray, distance) else { continue };
         for k in 0..3 {
             veil[k][x] = node[k];
             image[[k, x]] *= node[3 + k] * node[6 + k];
         }
-        clear[x] = exp(-node[9]);
+        depths[x] = node[9];
+    }
+    for (clear, depth) in clear.iter_mut().zip(depths) {
+        *clear = exp(-depth);
     }
 }
 
@@ -181,18 +187,25 @@ impl Grid {
         Grid { step, columns, rays: rays.collect() }
     }
 
-    /// Values at a distance along the ray of a pixel; None if no node near it is known.
+    /// Values at a distance along the ray of a pixel, given the rows of `spline`; None if no node
+    /// near it is known.
     #[inline(always)]
-    fn at(&self, rig: &Rig<'_>, (y, x): (usize, usize), distance: f32) -> Option<Node> {
-        let (_, start) = rig.ray(y * rig.size.1 + x)?;
+    fn at(
+        &self,
+        rig: &Rig<'_>,
+        (rows, x): (&[(usize, f32); 3], usize),
+        (_, start): (Vec3, f32),
+        distance: f32,
+    ) -> Option<Node> {
         let distance = if distance.is_finite() { distance } else { FARTHEST };
         let along = ((distance - start) / (rig.farthest - start).max(1e-6)).clamp(0.0, 1.0);
         let along = along.sqrt() * SLICES as f32;
         let slice = (along as usize).min(SLICES - 1);
         let t = along - slice as f32;
         let (mut sum, mut whole) = ([0.0; VALUES], 0.0);
-        for (row, v) in spline(y, self.step, self.rays.len() / self.columns) {
-            for (column, u) in spline(x, self.step, self.columns) {
+        let columns = spline(x, self.step, self.columns);
+        for &(row, v) in rows {
+            for (column, u) in columns {
                 let weight = u * v;
                 let Some(ray) = &self.rays[row * self.columns + column] else { continue };
                 for k in 0..VALUES {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -93,7 +93,17 @@ class CapsuleCameras:
 
     def capture(self, step: Step) -> dict[str, Frame]:
         """Capture the frame of each camera at a step."""
-        return {name: pipeline.capture(step) for name, pipeline in self.pipelines.items()}
+        return self.begin_capture(step)()
+
+    def begin_capture(self, step: Step) -> Callable[[], dict[str, Frame]]:
+        """Render and expose the frame of each camera at a step.
+
+        Returns:
+            Function that returns the frames; any thread may call it, once, while later steps are
+            rendered.
+        """
+        begun = {name: p.begin_capture(step) for name, p in self.pipelines.items()}
+        return lambda: {name: finish() for name, finish in begun.items()}
 
     def resume(self, last: Mapping[str, float], last_captured: int | None) -> None:
         """Restore the state after a frame.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -184,15 +184,23 @@ class CameraPipeline:
 
         Lens and sensor change only color; depth, labels and flow stay exact.
         """
+        return self.begin_capture(step)()
+
+    def begin_capture(self, step: Step) -> Callable[[], Frame]:
+        """Render and expose the frame of a step.
+
+        Returns:
+            Function that returns the frame; any thread may call it, once, while later steps are
+            rendered.
+        """
         if not self.is_active:
-            return _without_neighbor(self._ideal(step), step)
+            return partial(_without_neighbor, self._ideal(step), step)
         exposure = self.expose(step).exposure
         radiance = self.render(step)
-        if "rgb" in self.channels:
-            frame = self.process(radiance, exposure)
-        else:
-            frame = Frame(**radiance.channels)
-        return _without_neighbor(frame, step)
+        if "rgb" not in self.channels:
+            return partial(_without_neighbor, Frame(**radiance.channels), step)
+        process = self._begin_process(radiance, exposure)
+        return lambda: _without_neighbor(process(), step)
 
     def expose(self, step: Step) -> Exposure:
         """Meter a step, return its exposure and set the exposure of the next step."""
@@ -259,15 +267,20 @@ class CameraPipeline:
             radiance: Result of `render`; the margin of its planes is overwritten.
             exposure: Exposure relative to the camera's own; used with automatic exposure only.
         """
-        if radiance.planes is None:
-            return Frame(**radiance.channels)
-        context = FrameContext(radiance.step, exposure, radiance.channels)
-        images = {"rgb": self._core.apply(radiance.planes, self._frame_params(radiance, context))}
-        if "dome_label" in radiance.channels:
-            images["dome_label"] = label = np.zeros(self._lit.shape, np.uint8)
+        return self._begin_process(radiance, exposure)()
+
+    def _begin_process(self, radiance: SceneRadiance, exposure: float) -> Callable[[], Frame]:
+        """Everything of `process` that depends on the renderer and on Python's stages."""
+        channels, planes = radiance.channels, radiance.planes
+        if planes is None:
+            return partial(Frame, **channels)
+        params = self._frame_params(radiance, FrameContext(radiance.step, exposure, channels))
+        if "dome_label" in channels:
+            label = np.zeros(self._lit.shape, np.uint8)
             for stage in self._stages.values():
                 stage.mark_dome(label, radiance.step.state.time)
-        return Frame(**radiance.channels | images)
+            channels = channels | {"dome_label": label}
+        return lambda: Frame(**channels | {"rgb": self._core.apply(planes, params)})
 
     def _frame_params(self, radiance: SceneRadiance, context: FrameContext) -> dict[str, object]:
         """Parameters of a frame for the stages of the core."""

@@ -60,6 +60,25 @@ def prefetch(items: Iterable[_Item]) -> Generator[_Item, None, None]:
             yield computed[0]
 
 
+def once(function: Callable[[], _Item]) -> Callable[[], _Item]:
+    """Function that calls another one the first time and then returns the same result.
+
+    Several threads may call it; the others wait for the first.
+
+    Args:
+        function: Function without arguments; called again only if it raised an error.
+    """
+    lock, results = threading.Lock(), []
+
+    def result() -> _Item:
+        with lock:
+            if not results:
+                results.append(function())
+            return results[0]
+
+    return result
+
+
 class _EndsWithParent:
     """Value that calls `kill_with_parent` when it is unpickled."""
 

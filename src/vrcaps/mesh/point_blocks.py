@@ -61,4 +61,5 @@ def is_in_box(
         center: Center of the cube [m].
         reach: Half its width [m].
     """
-    return np.asarray((np.abs(points - center) < reach).all(axis=1))
+    inside = np.abs(points - center) < reach
+    return np.asarray(inside[:, 0] & inside[:, 1] & inside[:, 2])  # faster than `all`

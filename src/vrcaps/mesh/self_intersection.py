@@ -36,7 +36,7 @@ def self_intersections(
     vertices = vertices[used]
     faces = _position_ids(vertices)[faces]
     corners = vertices[faces]
-    size = float(np.linalg.norm(np.ptp(corners, axis=(0, 1))))
+    size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     return _core.intersecting_triangles(corners, faces, _FLAT * size)
 
 

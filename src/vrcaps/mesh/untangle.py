@@ -87,7 +87,7 @@ def _patches(
     tangled = np.unique(faces[suspect[self_intersections(vertices, faces[suspect])]])
     if not 0 < len(tangled) <= _MOST:
         return ()
-    near = faces[_is_near(vertices, vertices[tangled])[faces].any(axis=1)]
+    near = faces[_has_any(faces, _is_near(vertices, vertices[tangled]))]
     patches: tuple[HarmonicPatch, ...] = ()
     for _ in range(_ROUNDS):
         inside = _with_neighbors(tangled, near)
@@ -147,7 +147,15 @@ def _next_to_turned(
     """Whether each triangle is turned over or has a vertex in common with one that is."""
     touched = np.zeros(len(vertices), bool)
     touched[faces[_core.turned_triangles(vertices, faces)]] = True
-    return np.asarray(touched[faces].any(axis=1))
+    return _has_any(faces, touched)
+
+
+def _has_any(
+    faces: Int[np.ndarray, "m 3"], is_chosen: Bool[np.ndarray, " n"]
+) -> Bool[np.ndarray, " m"]:
+    """Whether each triangle has a chosen vertex."""
+    first, second, third = is_chosen[faces].T
+    return np.asarray(first | second | third)
 
 
 def _is_near(

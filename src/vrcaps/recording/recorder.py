@@ -18,7 +18,7 @@ import numpy as np
 from vrcaps.camera_pipeline.capsule_cameras import CAPTURED, CapsuleCameras
 from vrcaps.core.errors import StorageError
 from vrcaps.core.files import remove_stale, sync_folder, write_bytes, write_json
-from vrcaps.core.processes import ProgressReport, no_report, prefetch
+from vrcaps.core.processes import ProgressReport, no_report, once, prefetch
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.frame_files import (
     Background,
@@ -65,6 +65,9 @@ if TYPE_CHECKING:
     from vrcaps.recording.table import FrameTable
     from vrcaps.render.channels import Frame
     from vrcaps.world.model import Model
+
+_Images = Callable[[], dict[str, "Frame"]]
+"""Function that returns the images of a frame by camera."""
 
 _CHECKPOINT_SECONDS = 10.0  # interval between checkpoints, from which a simulation can resume
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -258,7 +261,7 @@ def _write_steps(
                 show = partial(_preview_from_files, preview, episode, step.index)
                 writer.submit(step.index, show)
                 continue
-            images, wall = cameras.capture(step), None
+            images, wall = once(cameras.begin_capture(step)), None
             if run.scenario.wall:
                 wall = stored_wall(run.model, step.state, run.wall_vertices)
             writer.submit(
@@ -298,12 +301,11 @@ def _cameras(run: _Recording, wall: MovingWall, before: FrameTable | None) -> Ca
     return cameras
 
 
-def _write_images(
-    run: _Recording, frame: int, images: dict[str, Frame], wall: np.ndarray | None
-) -> None:
+def _write_images(run: _Recording, frame: int, images: _Images, wall: np.ndarray | None) -> None:
     """Write the files of a frame."""
+    captured = images()
     items = [
-        (path, CHANNELS[channel].encoding.encode(getattr(images[camera], channel)))
+        (path, CHANNELS[channel].encoding.encode(getattr(captured[camera], channel)))
         for (camera, channel), path in run.paths(frame).items()
     ]
     if wall is not None:
@@ -311,9 +313,9 @@ def _write_images(
     write_images(items)
 
 
-def _preview_from_images(preview: Preview | None, images: dict[str, Frame]) -> None:
+def _preview_from_images(preview: Preview | None, images: _Images) -> None:
     if preview is not None:
-        preview.add([np.asarray(image.rgb) for image in images.values()])
+        preview.add([np.asarray(image.rgb) for image in images().values()])
 
 
 def _preview_from_files(preview: Preview | None, episode: Episode, frame: int) -> None:

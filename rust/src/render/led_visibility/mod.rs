@@ -108,7 +108,8 @@ impl<'a, S: Send + Sync> Strip<'a, S> {
             .with_max_len(1)
             .map(|tiles| block_row(renderer, samples, tiles, columns))
             .collect();
-        let (mut seen, mut points) = (Vec::new(), Vec::new());
+        let (mut seen, mut points) =
+            (Vec::with_capacity(tiles.len()), Vec::with_capacity(tiles.len()));
         let mut blocks = Blocks::new(columns.div_ceil(BLOCK), samples.leds.len());
         for row in rows {
             seen.extend(row.seen);

@@ -13,11 +13,12 @@ use crate::mucosa::noise::{Cells, DEVIATION, Lattice, Vec3, exp, smoothstep};
 use crate::mucosa::strokes::{LEAF, Strokes, leaf_space};
 use crate::pool::on_pool;
 use crate::render::diffusion::Points;
-use crate::simd::f32x64::{LANES, Lane, Lane3, clamp, dot, max, sub};
+use crate::simd::f32x64::{LANES, Lane, Lane3, at, clamp, dot, max};
 use numpy::ndarray::{ArrayView2, ArrayViewMut3, Axis};
 use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Seeds of the cells, and of the variation of the lengths, of the gaps and of their density.
 const SEEDS: [u32; 4] = [0x7669_6c6c, 0x7669_6c68, 0x7669_6c67, 0x7669_6c70];
@@ -177,7 +178,8 @@ impl<'a> Seen<'a> {
             return;
         }
         let own = |(pixel, &distance)| if self.has_villi(pixel) { distance } else { f32::NAN };
-        let distance: Vec<f32> = self.distance.iter().enumerate().map(own).collect();
+        let distance: Vec<f32> =
+            self.distance.par_iter().enumerate().with_min_len(4096).map(own).collect();
         Points { size: self.size, distance: &distance, focal }.diffuse(planes, deviations);
     }
 
@@ -197,19 +199,9 @@ impl<'a> Seen<'a> {
         let mut lines: Vec<_> = planes.axis_iter_mut(Axis(1)).collect();
         lines.par_iter_mut().enumerate().for_each(|(y, line)| {
             for start in (0..columns).step_by(LANES) {
-                let (mut lanes, mut weights, mut any) = ([[0.0; LANES]; 3], [0.0; LANES], false);
-                for i in 0..LANES.min(columns - start) {
-                    let pixel = y * columns + start + i;
-                    weights[i] = self.gaps[pixel] * self.resolved(places, pixel, width);
-                    weights[i] *= FACING + (1.0 - FACING) * self.slant(pixel, focal);
-                    if weights[i] > 0.0 {
-                        any = true;
-                        for k in 0..3 {
-                            lanes[k][i] = places[pixel][k];
-                        }
-                    }
-                }
-                if !any {
+                let pixels = y * columns + start..y * columns + columns.min(start + LANES);
+                let (weights, lanes) = gap_weights(self, places, pixels, width, focal);
+                if weights.iter().all(|&weight| weight <= 0.0) {
                     continue;
                 }
                 let remaining = remaining(&strokes, &cells, &patches, &lanes, &weights);
@@ -221,33 +213,63 @@ impl<'a> Seen<'a> {
             }
         });
     }
+}
 
-    /// Weight of gaps between villi of a width at a pixel: 1 if pixels resolve them, 0 if they do not,
-    /// less next to the dome.
-    fn resolved(&self, places: &[Vec3], pixel: usize, width: f32) -> f32 {
-        let step =
-            |next: usize| places.get(next).map_or([f32::NAN; 3], |&next| sub(next, places[pixel]));
-        let (right, down) = (step(pixel + 1), step(pixel + self.size.1));
+/// Weights of the gaps between villi of a width at up to `LANES` pixels of a row, 0 where none are
+/// drawn, and the positions of the others.
+///
+/// Gaps are drawn if pixels resolve them, less next to the dome, and where the wall is seen aslant:
+/// by the squared sine of the angle between the ray and its normal.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn gap_weights(
+    seen: &Seen<'_>,
+    places: &[Vec3],
+    pixels: Range<usize>,
+    width: f32,
+    focal: f32,
+) -> (Lane, Lane3) {
+    let (mut own, mut right, mut down) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+    let (mut distance, mut rises) = ([0.0; LANES], [[0.0; LANES]; 2]);
+    let mut gaps = [0.0; LANES];
+    for (i, pixel) in pixels.enumerate() {
+        (gaps[i], distance[i]) = (seen.gaps[pixel], seen.distance[pixel]);
+        for (next, step, rise) in [(pixel + 1, &mut right, 0), (pixel + seen.size.1, &mut down, 1)]
+        {
+            let beside = places.get(next).map_or([f32::NAN; 3], |&place| place);
+            for k in 0..3 {
+                step[k][i] = beside[k] - places[pixel][k];
+            }
+            rises[rise][i] = seen.distance.get(next).map_or(0.0, |&next| next - distance[i]);
+        }
+        for k in 0..3 {
+            own[k][i] = places[pixel][k];
+        }
+    }
+    let mut weights = [0.0; LANES];
+    for i in 0..LANES {
+        let (right, down) = (at(&right, i), at(&down, i));
         let (across, along) = (dot(right, right), dot(down, down));
         let (widest, product) = (max(across, along), dot(right, down));
         let area = max(across * along - product * product, 0.0).sqrt();
-        if (across + along).is_nan() || widest == 0.0 {
-            return 0.0;
-        }
-        let pixels = width / widest.sqrt();
-        let open = 1.0 - (1.0 - PRESSED) * smoothstep(NEAR[0], NEAR[1], pixels);
+        let resolved = width / widest.sqrt();
+        let open = 1.0 - (1.0 - PRESSED) * smoothstep(NEAR[0], NEAR[1], resolved);
         let round = smoothstep(ROUND[0], ROUND[1], area / widest);
-        open * smoothstep(RESOLVED[0], RESOLVED[1], pixels) * round
-    }
-
-    /// Squared sine of the angle between the ray of a pixel and the normal of the wall.
-    fn slant(&self, pixel: usize, focal: f32) -> f32 {
-        let own = self.distance[pixel];
-        let rise = |next: usize| self.distance.get(next).map_or(0.0, |&next| (next - own) / own);
-        let (right, down) = (rise(pixel + 1), rise(pixel + self.size.1));
+        let drawn = open * smoothstep(RESOLVED[0], RESOLVED[1], resolved) * round;
+        let [right, down] = [0, 1].map(|k| rises[k][i] / distance[i]);
         let square = (right * right + down * down) * focal * focal;
-        if square.is_nan() { 0.0 } else { square / (1.0 + square) }
+        let slant = if square.is_nan() { 0.0 } else { square / (1.0 + square) };
+        let weight = gaps[i] * drawn * (FACING + (1.0 - FACING) * slant);
+        let is_drawn = !(across + along).is_nan() & (widest > 0.0) & (weight > 0.0);
+        weights[i] = if is_drawn { weight } else { 0.0 };
+        for k in 0..3 {
+            own[k][i] = if is_drawn { own[k][i] } else { 0.0 };
+        }
     }
+    (weights, own)
 }
 
 /// Fraction of the light of points that gaps between villi leave, by color, for mean densities of the

@@ -5,6 +5,7 @@ use crate::mucosa::noise::{Cells, DEVIATION, Lattice, Vec3, exp, smoothstep};
 use crate::mucosa::strokes::{LEAF, leaf_space};
 use crate::simd::f32x64::{LANES, clamp, max, min};
 use numpy::ndarray::ArrayViewMut3;
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Difference of distances along adjacent rays at an outline [m].
@@ -58,17 +59,13 @@ impl Seen<'_> {
     /// Pixels next to a ray that passes the wall's outline.
     pub fn outlines(&self) -> Vec<usize> {
         let (rows, columns) = self.size;
-        let mut found = Vec::new();
-        for y in 1..rows.saturating_sub(1) {
-            for x in 1..columns.saturating_sub(1) {
-                let pixel = y * columns + x;
-                let has_fringe = self.length[pixel] > 0.0 && self.has_villi(pixel);
-                if has_fringe && self.step(pixel) > STEP {
-                    found.push(pixel);
-                }
-            }
-        }
-        found
+        let is_outline = |&pixel: &usize| {
+            let has_fringe = self.length[pixel] > 0.0 && self.has_villi(pixel);
+            has_fringe && self.step(pixel) > STEP
+        };
+        let inside = |y: usize| y * columns + 1..(y + 1) * columns - 1;
+        let rows = (1..rows.saturating_sub(1)).into_par_iter();
+        rows.flat_map_iter(|y| inside(y).filter(is_outline)).collect()
     }
 
     /// Maximum difference between the distances of the pixels around one inside the image and its own

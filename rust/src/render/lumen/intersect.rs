@@ -101,13 +101,12 @@ impl LumenRays<'_> {
         near: &mut Vec<Near>,
     ) -> (Hits, Particles) {
         let (mut hits, mut particles) = (Hits::within([0.0; LANES]), Particles::nothing());
-        let mut around = EMPTY_BOX;
+        let (mut around, mut pile) = (EMPTY_BOX, ray::Pile::default());
         for i in (0..LANES).filter(|&i| used[i]) {
             let (start, direction) = (at(&turn.place, i), at(&turn.heading, i));
             hits.distance[i] = MAX_DISTANCE;
-            if let Some(hit) =
-                ray::cast::<false>(&self.wall.bvh, start, direction, MAX_DISTANCE, MISS)
-            {
+            let (bvh, ray) = (&self.wall.bvh, (start, direction));
+            if let Some(hit) = ray::cast_in::<false>(&mut pile, bvh, ray, MAX_DISTANCE, MISS) {
                 hits.distance[i] = hit.distance;
                 hits.triangle[i] = hit.triangle;
                 for k in 0..3 {

@@ -5,6 +5,8 @@
 
 use super::Radiosity;
 use super::gather_points::GatherPoints;
+use super::lazy_cache::FrameCache;
+use super::solve::CHUNK;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use rayon::prelude::*;
@@ -15,7 +17,7 @@ const LEAST_COSINE: f32 = 0.1;
 const MOST: f32 = 8.0;
 
 /// Position of a gather point, as used by other points.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 pub struct Patch {
     point: Vec3,
     normal: Vec3,
@@ -45,27 +47,41 @@ impl Patch {
 pub struct DeformedTransport<'a> {
     light: &'a Radiosity,
     rest: &'a Wall,
-    /// Current position of each gather point, and its relative area if it emits light.
-    now: Vec<(Patch, f32)>,
+    wall: &'a Wall,
+    /// Current position of gather points, on first use, and the relative area of those that emit
+    /// light.
+    known: FrameCache<'a, Place>,
 }
+
+/// Position of a gather point, and its area relative to that at rest, 1 if it emits no light.
+pub type Place = (Patch, f32);
 
 impl<'a> DeformedTransport<'a> {
     /// Compares a wall with itself at rest; only the gather points in `giving` emit light.
-    pub fn new(light: &'a Radiosity, rest: &'a Wall, wall: &Wall, giving: &[u32]) -> Self {
-        let count = light.gather_points.vertex.len();
-        let places = (0..count).into_par_iter().with_min_len(512);
-        let mut now: Vec<(Patch, f32)> =
-            places.map(|s| (Patch::of(wall, &light.gather_points, s), 1.0)).collect();
-        for &s in giving {
+    pub fn new(light: &'a Radiosity, rest: &'a Wall, wall: &'a Wall, giving: &[u32]) -> Self {
+        let deformed = DeformedTransport { light, rest, wall, known: light.places.lend() };
+        giving.par_iter().with_min_len(CHUNK).for_each(|&s| {
             let vertex = light.gather_points.vertex[s as usize] as usize;
-            now[s as usize].1 = wall.area_around(vertex) / max(rest.area_around(vertex), 1e-30);
-        }
-        DeformedTransport { light, rest, now }
+            let ratio = wall.area_around(vertex) / max(rest.area_around(vertex), 1e-30);
+            let patch = Patch::of(wall, &light.gather_points, s as usize);
+            deformed.known.keep_gather_point(s as usize, &(patch, ratio));
+        });
+        deformed
+    }
+
+    /// Current position and relative area of a gather point.
+    #[inline(always)]
+    fn place(&self, gather_point: usize) -> Place {
+        self.known.gather_point(gather_point).unwrap_or_else(|| {
+            let place = (Patch::of(self.wall, &self.light.gather_points, gather_point), 1.0);
+            self.known.keep_gather_point(gather_point, &place);
+            place
+        })
     }
 
     /// Ratio of the area of a gather point to that at rest.
     pub fn area_ratio(&self, gather_point: usize) -> f32 {
-        self.now[gather_point].1
+        self.place(gather_point).1
     }
 
     /// Factors on the form factors of a row, given for each link the other gather point, the form
@@ -76,12 +92,12 @@ impl<'a> DeformedTransport<'a> {
         gather_point: usize,
         links: impl Iterator<Item = (u32, f32, f32)>,
     ) -> impl Iterator<Item = f32> {
-        let own = self.now[gather_point].0;
+        let own = self.place(gather_point).0;
         let (mut before, mut after) = (0.0, 0.0);
         let mut factors = Vec::with_capacity(links.size_hint().0);
         for (from, weight, geometry) in links {
-            let (place, area_ratio) = &self.now[from as usize];
-            let now = own.geometry(place, self.light.gather_points.spacing[from as usize]);
+            let (place, area_ratio) = self.place(from as usize);
+            let now = own.geometry(&place, self.light.gather_points.spacing[from as usize]);
             let factor = clamp(area_ratio * now / geometry, 1.0 / MOST, MOST);
             before += weight;
             after += weight * factor;
@@ -93,9 +109,9 @@ impl<'a> DeformedTransport<'a> {
 
     /// Rotates a vector at a vertex with the wall.
     #[inline(always)]
-    pub fn turn(&self, wall: &Wall, vertex: usize, vector: Vec3) -> Vec3 {
+    pub fn turn(&self, vertex: usize, vector: Vec3) -> Vec3 {
         let parts = axes(self.rest, vertex).map(|axis| dot(axis, vector));
-        let to = axes(wall, vertex);
+        let to = axes(self.wall, vertex);
         [0, 1, 2].map(|k| parts[0] * to[0][k] + parts[1] * to[1][k] + parts[2] * to[2][k])
     }
 }

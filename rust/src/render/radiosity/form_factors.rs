@@ -89,9 +89,10 @@ fn look(wall: &Wall, gather_points: &GatherPoints, gather_point: usize) -> Vec<R
     let origin =
         add(wall.vertices[vertex], scale(normal, LIFT * gather_points.spacing[gather_point]));
     let lobe = Lobe::turned(normal, 1.0, SIDE, gather_point);
-    let mut seen = Vec::with_capacity(SIDE * SIDE);
+    let (mut seen, mut pile) = (Vec::with_capacity(SIDE * SIDE), ray::Pile::default());
     for (number, direction) in lobe.directions().enumerate() {
-        let hit = ray::cast::<false>(&wall.bvh, origin, direction, f32::MAX, u32::MAX);
+        let ray = (origin, direction);
+        let hit = ray::cast_in::<false>(&mut pile, &wall.bvh, ray, f32::MAX, u32::MAX);
         // The back of a wall reflects no light.
         if let Some(hit) = hit.filter(|hit| hit.edges[2] < 0.0) {
             let vertex = nearest_corner(wall, hit.triangle, hit.edges);

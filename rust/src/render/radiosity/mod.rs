@@ -20,6 +20,7 @@ mod stratified_lobe;
 mod subsurface;
 
 use crate::pool::detached;
+use deformed_transport::Place;
 use form_factors::{FormFactorRow, trace_row};
 use gather_points::GatherPoints;
 use lazy_cache::CachePool;
@@ -52,6 +53,7 @@ pub struct Radiosity {
     /// for another, which may not exist in a forked process.
     rows: Vec<OnceBox<FormFactorRow>>,
     cache: CachePool,
+    places: CachePool<Place>,
     /// Light through the tissue behind the wall, if enabled.
     tissue: Option<Transport>,
 }
@@ -77,6 +79,7 @@ impl Radiosity {
             let rows = gather_points.vertex.iter().map(|_| OnceBox::new()).collect();
             let PatchAlbedo { albedo, per_area, .. } = look;
             let cache = CachePool::new((gather_points.vertex.len(), wall.vertices.len()));
+            let places = CachePool::new((gather_points.vertex.len(), 0));
             Radiosity {
                 rest: own,
                 gather_points,
@@ -85,6 +88,7 @@ impl Radiosity {
                 reflectance,
                 rows,
                 cache,
+                places,
                 tissue,
             }
         }))

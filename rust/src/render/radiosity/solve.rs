@@ -22,7 +22,7 @@ const MAX_RELIEF_GAIN: f32 = 4.0;
 /// Distance in gather points between the computed one and the prefetched row.
 const AHEAD: usize = 4;
 /// Number of gather points that one thread takes at a time.
-const CHUNK: usize = 32;
+pub const CHUNK: usize = 32;
 
 /// Irradiance by indirect light in one frame.
 pub struct Irradiance<'a> {
@@ -289,7 +289,7 @@ impl Irradiance<'_> {
             }
         };
         if let Some(deformed) = &self.deformed {
-            vectors = vectors.map(|vector| deformed.turn(self.wall, vertex, vector));
+            vectors = vectors.map(|vector| deformed.turn(vertex, vector));
         }
         let normal = self.wall.normals[vertex];
         let mut light = Light::default();

@@ -2,7 +2,9 @@
 
 Trains networks that segment polyps on fractions of Kvasir-SEG until the validation metric no longer
 improves, from ImageNet weights and from weights pre-trained on simulated images, and evaluates them
-on other images of Kvasir-SEG and on those of BKAI-IGH NeoPolyp, which no training uses.
+on other images of Kvasir-SEG and on those of BKAI-IGH NeoPolyp, which no training uses. Networks
+that start from pre-trained weights are also evaluated with the mean of their own parameters and
+those of the pre-training.
 
     python -m benchmarks.sim_to_real.converged --real /data/endoscopy --run runs/converged
     python -m benchmarks.sim_to_real.converged --run runs/converged --report   # the page only
@@ -18,7 +20,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -42,7 +44,7 @@ from vrcaps.core.files import file_sha256
 from vrcaps.learn.baselines import mask_baselines
 from vrcaps.learn.checkpoint import TrainedNetwork, read_weights
 from vrcaps.learn.evaluation import evaluate
-from vrcaps.learn.initialize import initialized_network
+from vrcaps.learn.initialize import initialized_network, mean_with_start
 from vrcaps.learn.networks import Backbone
 from vrcaps.learn.samples import Samples
 from vrcaps.learn.settings import IMAGENET, TrainSettings
@@ -56,7 +58,10 @@ from vrcaps.training import ComputeSettings, exact_torch
 MODULE = "benchmarks.sim_to_real.converged"
 COMMAND = f"python -m {MODULE} --run runs/converged --report"
 TASK, KIND, HOME, OTHER = "polyp-masks-converged", "polyp", "kvasir_seg", "bkai"
-OURS = "imagenet+ours"
+OURS, AVERAGED = "imagenet+ours", "imagenet+ours+averaged"
+SHARE = 0.85
+"""Fraction of the trained parameters in their mean with those of the pre-training."""
+WEIGHTS = ROOT / "weights/segmentation-polyp.safetensors"
 DISC = "disc"
 """Baseline: the centered disc with the highest metric on the evaluated images."""
 FRACTIONS = (0.1, 1.0, 0.25, 0.05)
@@ -65,6 +70,8 @@ EVALUATIONS = 6
 """Number of evaluations on the validation fold; the best checkpoint is tested."""
 RATE, BATCH = 1e-3, 8
 """Maximum learning rate and batch size, as in the other experiments."""
+AVERAGED_VALUES = "averaged_home", "averaged_other"
+"""Names of the results of averaged networks in the rows of `OURS`."""
 NEARLY = 0.95
 """Fraction of the best validation metric that measures the speed of convergence."""
 
@@ -127,7 +134,7 @@ def main() -> None:
     add("--run", type=Path, required=True, help="folder of the experiment: rows of networks")
     add("--real", type=Path, help="folder with folders of real data")
     add("--layout", action="append", default=[], help=f"NAME=FOLDER, NAME {HOME} or {OTHER}")
-    add("--weights", type=Path, default=ROOT / "weights/segmentation.safetensors", help="of ours")
+    add("--weights", type=Path, default=WEIGHTS, help="pre-trained on ours")
     add("--fractions", nargs="+", type=float, default=FRACTIONS, help="of the real images")
     add("--seeds", type=int, default=5, help="networks of each kind")
     add("--size", type=int, default=96, help="side of the images [px]")
@@ -191,22 +198,23 @@ def run_cell(experiment: Experiment, cell: Cell) -> Row:
     began = time.perf_counter()
     training, validation, held = experiment.parts(cell.seed)
     tested = [experiment.samples(part) for part in (held, experiment.other)]
-    curve: list[float] = []
+    values: dict[str, list[float]] = {
+        "other_groups": experiment.other.groups.tolist(),
+        "curve": [],
+        "every": [float(experiment.every)],
+    }
     with exact_torch(1):
         if cell.arm == DISC:
-            home, other = (disc_dice(one) for one in tested)
+            values["home"], values["other"] = (disc_dice(one) for one in tested)
         else:
             trained = untrained(experiment)
             if cell.fraction > 0.0:
-                trained, curve = trained_of(experiment, cell, training, validation)
-            home, other = (network_dice(trained, one) for one in tested)
-    values = {
-        "home": home,
-        "other": other,
-        "other_groups": experiment.other.groups.tolist(),
-        "curve": curve,
-        "every": [experiment.every],
-    }
+                trained, values["curve"] = trained_of(experiment, cell, training, validation)
+            values["home"], values["other"] = (network_dice(trained, one) for one in tested)
+            if cell.fraction > 0.0 and cell.arm == OURS:
+                mean = averaged(experiment, trained)
+                names = AVERAGED_VALUES
+                values |= {n: network_dice(mean, one) for n, one in zip(names, tested, strict=True)}
     seconds = round(time.perf_counter() - began, 1)
     return Row(cell, experiment.made_of(cell), values, held.groups.tolist(), seconds)
 
@@ -241,6 +249,12 @@ def trained_of(
     return trained, [round(float(row[name]), 5) for row in progress.rows]
 
 
+def averaged(experiment: Experiment, trained: TrainedNetwork) -> TrainedNetwork:
+    """Network with the mean of the trained parameters and those of the pre-training."""
+    start = untrained(experiment).network.state_dict()
+    return replace(trained, network=mean_with_start(trained.network, start, SHARE))
+
+
 def network_dice(trained: TrainedNetwork, samples: Samples) -> list[float]:
     """Dice coefficient of each image."""
     found = evaluate(trained, samples)
@@ -273,12 +287,12 @@ def page_text(rows: Sequence[Row]) -> str:
     if not arms:
         raise InputError("There are no networks yet. Give --real to train them.")
     fractions = sorted({fraction for _, fraction in arms if fraction > 0.0})
-    known = [row for by_seed in arms.values() for row in by_seed.values()]
+    known = [row for (arm, _), rows in arms.items() if arm != AVERAGED for row in rows.values()]
     hours = sum(row.seconds for row in known) / 3600.0
     body = [
         [f"{100.0 * fraction:g} %", ARM_TITLES[arm], *cells_text(arms, arm, fraction)]
         for fraction in fractions
-        for arm in (IMAGENET, OURS)
+        for arm in (IMAGENET, OURS, AVERAGED)
         if (arm, fraction) in arms
     ]
     body = [
@@ -291,15 +305,18 @@ def page_text(rows: Sequence[Row]) -> str:
     ]
     head = ["real images", "", "Kvasir-SEG", "BKAI-IGH NeoPolyp", "steps to 95 %", "networks"]
     gains = [
-        [f"{100.0 * fraction:g} %", *difference_text(arms, fraction)] for fraction in fractions
+        [f"{100.0 * fraction:g} %", ARM_TITLES[arm], *difference_text(arms, arm, fraction)]
+        for fraction in fractions
+        for arm in (OURS, AVERAGED)
+        if (arm, fraction) in arms
     ]
-    gain_head = ["real images", "Kvasir-SEG", "BKAI-IGH NeoPolyp", "seeds"]
+    gain_head = ["real images", "", "Kvasir-SEG", "BKAI-IGH NeoPolyp", "seeds"]
     parts = [
         "## Converged networks in the same and another hospital: results",
         f"{len(known)} networks and baselines, {hours:.1f} hours. Dice; in brackets 95 % intervals "
         "over seeds and groups of images.",
         table(head, body),
-        "*ImageNet + ours* minus *ImageNet*, in points of Dice:",
+        "Minus *ImageNet*, in points of Dice:",
         table(gain_head, gains),
     ]
     return "\n\n".join(parts)
@@ -311,10 +328,24 @@ def arms_of(rows: Sequence[Row]) -> Arms:
     kept = [row for row in rows if row.made_of["basis"] == basis]
     first = {row.cell.arm: row.made_of["first"] for row in kept}
     found: dict[tuple[str, float], dict[int, Row]] = {}
-    for row in kept:
-        if row.made_of["first"] == first[row.cell.arm]:
-            found.setdefault((row.cell.arm, row.cell.fraction), {})[row.cell.seed] = row
+    known = [row for row in kept if row.made_of["first"] == first[row.cell.arm]]
+    for row in [*known, *averaged_rows(known)]:
+        found.setdefault((row.cell.arm, row.cell.fraction), {})[row.cell.seed] = row
     return {key: dict(sorted(by_seed.items())) for key, by_seed in found.items()}
+
+
+def averaged_rows(rows: Sequence[Row]) -> list[Row]:
+    """Results of averaged networks as rows of their own."""
+    return [
+        replace(
+            row,
+            cell=replace(row.cell, arm=AVERAGED),
+            values=row.values
+            | dict(zip(("home", "other"), (row.values[n] for n in AVERAGED_VALUES), strict=True)),
+        )
+        for row in rows
+        if AVERAGED_VALUES[0] in row.values
+    ]
 
 
 def cells_text(arms: Arms, arm: str, fraction: float) -> list[str]:
@@ -326,9 +357,9 @@ def cells_text(arms: Arms, arm: str, fraction: float) -> list[str]:
     return [*shown, median, str(len(rows)) if arm != DISC else ""]
 
 
-def difference_text(arms: Arms, fraction: float) -> list[str]:
-    """Differences of the two arms in both sources, over common seeds."""
-    first, second = (arms.get((arm, fraction), {}) for arm in (OURS, IMAGENET))
+def difference_text(arms: Arms, arm: str, fraction: float) -> list[str]:
+    """Differences of an arm from ImageNet in both sources, over common seeds."""
+    first, second = (arms.get((one, fraction), {}) for one in (arm, IMAGENET))
     seeds = sorted({*first} & {*second})
     if not seeds:
         return ["", "", "0"]

@@ -26,6 +26,7 @@ ARM_TITLES = {
     "imagenet": "ImageNet",
     "ours": "ours",
     "imagenet+ours": "ImageNet + ours",
+    "imagenet+ours+averaged": "ImageNet + ours, averaged",
     LONG: f"ImageNet, {LONG_FACTOR} × the steps",
     "unitycam": "UnityCam",
     "imagenet+unitycam": "ImageNet + UnityCam",

@@ -76,10 +76,10 @@ def test_convergence_is_the_first_evaluation_near_the_best() -> None:
 def test_differences_are_over_common_seeds_in_points() -> None:
     rows = [row(IMAGENET, seed, 0.6 + seed / 10.0, 0.4) for seed in range(3)]
     rows += [row(OURS, seed, 0.61 + seed / 10.0, 0.46) for seed in range(2)]
-    home, other, seeds = difference_text(converged.arms_of(rows), 0.1)
+    home, other, seeds = difference_text(converged.arms_of(rows), OURS, 0.1)
     assert (home, other, seeds) == ("+1.0 [+1.0, +1.0]", "+6.0 [+6.0, +6.0]", "2")
     text = page_text([*rows, row(DISC, 0, 0.4, 0.2)])
-    assert "| 10 % | +1.0 [+1.0, +1.0] | +6.0 [+6.0, +6.0] | 2 |" in text
+    assert "| 10 % | ImageNet + ours | +1.0 [+1.0, +1.0] | +6.0 [+6.0, +6.0] | 2 |" in text
     assert "| 0 % | centered disc | 40.0 [40.0, 40.0] | 20.0 [20.0, 20.0] |" in text
 
 
@@ -90,6 +90,17 @@ def test_rows_of_other_settings_are_left_out() -> None:
     other.made_of["first"] = "weights of another training"
     found = converged.arms_of([old, other, row(OURS, 1, 0.6, 0.4), row(IMAGENET, 1, 0.6, 0.4)])
     assert [*found[IMAGENET, 0.1]] == [*found[OURS, 0.1]] == [1]
+
+
+def test_averaged_networks_are_an_arm_of_their_own() -> None:
+    ours = row(OURS, 0, 0.6, 0.4)
+    ours.values["averaged_home"], ours.values["averaged_other"] = [0.58] * 6, [0.47] * 4
+    text = page_text([ours, row(IMAGENET, 0, 0.55, 0.4), row(OURS, 1, 0.6, 0.4)])
+    assert text.startswith("## Converged") and "\n\n3 networks and baselines" in text
+    assert (
+        "| 10 % | ImageNet + ours, averaged | +3.0 [+3.0, +3.0] | +7.0 [+7.0, +7.0] | 1 |" in text
+    )
+    assert "| 10 % | ImageNet + ours | +5.0 [+5.0, +5.0] | +0.0 [+0.0, +0.0] | 1 |" in text
 
 
 def test_a_centered_disc_has_dice_one_on_centered_discs() -> None:
@@ -149,7 +160,8 @@ def test_a_run_resumes_and_writes_its_section(
     monkeypatch.setattr(sys, "argv", [*command, "--fractions", "0.5"])
     converged.main()
     text = page.read_text()
-    assert "| 50 % | ImageNet |" in text and "| 50 % | ImageNet + ours |" in text
+    for arm in ("ImageNet", "ImageNet + ours", "ImageNet + ours, averaged"):
+        assert f"| 50 % | {arm} |" in text
     assert "| 0 % | centered disc |" in text
     lines = (run / ROWS).read_text().splitlines()
     assert len(lines) == 4

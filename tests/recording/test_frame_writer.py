@@ -35,15 +35,20 @@ def test_what_follows_waits_for_all_files_before_it() -> None:
     assert told[-1] == (4, 4)
 
 
-def test_nothing_follows_a_frame_that_could_not_be_written() -> None:
+@pytest.mark.parametrize("is_shown", [True, False])
+def test_nothing_follows_a_frame_that_could_not_be_written_or_shown(is_shown: bool) -> None:
     followed = []
 
     def fail() -> None:
         raise OSError(28, "No space left on device")
 
+    def good() -> None:
+        pass
+
     def run() -> None:
         with FrameWriter(lambda *_: None, 2) as writer:
-            writer.submit(0, lambda: None, files=fail, then=lambda: followed.append(0))
+            show, write = (good, fail) if is_shown else (fail, good)
+            writer.submit(0, show, files=write, then=lambda: followed.append(0))
             writer.submit(1, lambda: None, files=lambda: None, then=lambda: followed.append(1))
             time.sleep(0.02)
             writer.finish()

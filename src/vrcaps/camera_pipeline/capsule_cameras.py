@@ -102,8 +102,8 @@ class CapsuleCameras:
             Function that returns the frames; any thread may call it, once, while later steps are
             rendered.
         """
-        begun = {name: p.begin_capture(step) for name, p in self.pipelines.items()}
-        return lambda: {name: finish() for name, finish in begun.items()}
+        captures = {name: p.begin_capture(step) for name, p in self.pipelines.items()}
+        return lambda: {name: finish() for name, finish in captures.items()}
 
     def resume(self, last: Mapping[str, float], last_captured: int | None) -> None:
         """Restore the state after a frame.

@@ -345,7 +345,10 @@ _PUBLISHED = {"depth", "segmentation", "classification", "super-resolution"}
 """Tasks whose examples need no file of weights."""
 _CHOICES = {
     "depth": "Published weights: --weights depth-capsule for capsules and narrow lumens, "
-    "depth-endoscope for endoscopes in wide lumens; depth (default) for both, less accurate."
+    "depth-endoscope for endoscopes in wide lumens; depth (default) for both, less accurate.",
+    "segmentation": "Published weights: --weights segmentation-polyp for polyps in images of "
+    "colonoscopes, segmentation-bleeding for blood in images of capsules; segmentation (default) "
+    "for any lesion, less accurate.",
 }
 """Choice between several published weights of a task."""
 _UNITS = {

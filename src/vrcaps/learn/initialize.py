@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Mapping
 from pathlib import Path
 
 from torch import Tensor, nn
@@ -48,6 +50,30 @@ def initialized_network(task: Task, start: str) -> nn.Module:
         {k: v for k, v in known.items() if k in own and own[k].shape == v.shape}, strict=False
     )
     return network
+
+
+def mean_with_start(network: nn.Module, start: Mapping[str, Tensor], fraction: float) -> nn.Module:
+    """Copy of a network with the mean of its parameters and those at the start of its training.
+
+    The mean often keeps more of the accuracy of the start on other data than the network does
+    (Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022).
+
+    Args:
+        network: Trained network.
+        start: State of the network before the training.
+        fraction: Fraction of the trained parameters in the mean, 0 to 1.
+    """
+    averaged = copy.deepcopy(network)
+    state = averaged.state_dict()
+    averaged.load_state_dict(
+        {
+            name: fraction * value + (1.0 - fraction) * start[name]
+            if value.is_floating_point()
+            else value
+            for name, value in state.items()
+        }
+    )
+    return averaged
 
 
 def origin(start: str) -> str:

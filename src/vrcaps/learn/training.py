@@ -21,7 +21,7 @@ from vrcaps.core.errors import InputError
 from vrcaps.core.files import atomic_write, write_csv
 from vrcaps.learn.checkpoint import TrainedNetwork, write_weights
 from vrcaps.learn.evaluation import evaluate, write_pictures
-from vrcaps.learn.initialize import initialized_network, origin
+from vrcaps.learn.initialize import initialized_network, mean_with_start, origin
 from vrcaps.learn.networks import freeze_batch_norm
 from vrcaps.learn.samples import Samples, batch_of
 from vrcaps.learn.settings import IMAGENET, SCRATCH, TrainSettings, current_training
@@ -213,17 +213,7 @@ class _Run:
         """Network of the mean of the trained parameters and those at the start."""
         if not self._start:
             return self.network
-        averaged, fraction = copy.deepcopy(self.network), self.settings.average_with_start
-        state = averaged.state_dict()
-        averaged.load_state_dict(
-            {
-                name: fraction * value + (1.0 - fraction) * self._start[name]
-                if value.is_floating_point()
-                else value
-                for name, value in state.items()
-            }
-        )
-        return averaged
+        return mean_with_start(self.network, self._start, self.settings.average_with_start)
 
     def _samples_of(self, index: int) -> list[Sample]:
         """Augmented samples of a batch; the same for the same index."""

@@ -171,8 +171,8 @@ class FrameWriter:
         written = None if files is None else self._writers.submit(files)
 
         def finish() -> None:
-            meanwhile()
             try:
+                meanwhile()
                 if written is not None:
                     written.result()
             except BaseException:

@@ -3,8 +3,7 @@
 Trains networks that segment polyps on fractions of Kvasir-SEG until the validation metric no longer
 improves, from ImageNet weights and from weights pre-trained on simulated images, and evaluates them
 on other images of Kvasir-SEG and on those of BKAI-IGH NeoPolyp, which no training uses. Networks
-that start from pre-trained weights are also evaluated with the mean of their own parameters and
-those of the pre-training.
+with pre-training are evaluated twice: as trained, and averaged with the pre-trained weights.
 
     python -m benchmarks.sim_to_real.converged --real /data/endoscopy --run runs/converged
     python -m benchmarks.sim_to_real.converged --run runs/converged --report   # the page only
@@ -110,7 +109,7 @@ class Experiment:
     def made_of(self, cell: Cell) -> dict[str, str]:
         """Names of the inputs of a cell's result, besides the cell itself."""
         settings = [self.size, self.steps, EVALUATIONS, RATE, BATCH]
-        first = file_sha256(self.weights)[:12] if cell.arm == OURS else ""
+        first = f"{file_sha256(self.weights)[:12]}-{SHARE:g}" if cell.arm == OURS else ""
         return {"basis": digest_of([settings, self.home.digest, self.other.digest]), "first": first}
 
     def parts(self, seed: int) -> tuple[Pictures, Pictures, Pictures]:
@@ -335,7 +334,7 @@ def arms_of(rows: Sequence[Row]) -> Arms:
 
 
 def averaged_rows(rows: Sequence[Row]) -> list[Row]:
-    """Results of averaged networks as rows of their own."""
+    """Separate rows with the results of averaged networks."""
     return [
         replace(
             row,

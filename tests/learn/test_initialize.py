@@ -9,7 +9,7 @@ pytest.importorskip("safetensors")
 
 from vrcaps.core.errors import InputError  # noqa: E402
 from vrcaps.learn.checkpoint import read_weights, write_weights  # noqa: E402
-from vrcaps.learn.initialize import initialized_network, origin  # noqa: E402
+from vrcaps.learn.initialize import initialized_network, mean_with_start, origin  # noqa: E402
 from vrcaps.learn.networks import Backbone  # noqa: E402
 from vrcaps.learn.tasks.classification import ClassificationTask  # noqa: E402
 from vrcaps.learn.tasks.depth import DepthTask  # noqa: E402
@@ -144,3 +144,19 @@ def test_a_network_without_that_encoder_is_refused(tmp_path):
     other = ClassificationTask(backbone=Backbone(32, "resnet18"))
     with pytest.raises(InputError, match=r"'resnet18'.*Allowed: weights of the same task"):
         initialized_network(other, str(_written(MASKS, tmp_path)))
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.85, 1.0])
+def test_the_mean_with_the_start_is_linear_and_a_copy(fraction):
+    torch.manual_seed(3)
+    start, trained = (MASKS.network(is_pretrained=False).state_dict() for _ in range(2))
+    network = MASKS.network(is_pretrained=False)
+    network.load_state_dict(trained)
+    mean = mean_with_start(network, start, fraction).state_dict()
+    for name, value in network.state_dict().items():
+        assert torch.equal(value, trained[name])
+        if value.is_floating_point():
+            expected = fraction * trained[name] + (1.0 - fraction) * start[name]
+            assert torch.allclose(mean[name], expected)
+        else:
+            assert torch.equal(mean[name], value)

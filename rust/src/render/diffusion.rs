@@ -21,7 +21,7 @@ const WIDEST: f32 = 16.0;
 /// Color of a pixel.
 type Color = [f32; 3];
 /// Color of a pixel, and its distance along its ray [m]; read together in any order.
-type Texel = [f32; 4];
+type Pixel = [f32; 4];
 
 /// Points of a wall in an image.
 pub struct Points<'a> {
@@ -37,18 +37,18 @@ impl Points<'_> {
     /// Diffuses light in planes [3 h w], in place, by standard deviations along an axis [m].
     pub fn diffuse(&self, planes: &mut ArrayViewMut3<'_, f32>, deviations: Color) {
         let columns = self.size.1;
-        let mut texels = vec![[0.0; 4]; self.distance.len()];
-        texels.par_chunks_mut(columns).enumerate().for_each(|(y, row)| {
-            for (x, texel) in row.iter_mut().enumerate() {
+        let mut pixels = vec![[0.0; 4]; self.distance.len()];
+        pixels.par_chunks_mut(columns).enumerate().for_each(|(y, row)| {
+            for (x, pixel) in row.iter_mut().enumerate() {
                 let [red, green, blue] = [0, 1, 2].map(|k| planes[[k, y, x]]);
-                *texel = [red, green, blue, self.distance[y * columns + x]];
+                *pixel = [red, green, blue, self.distance[y * columns + x]];
             }
         });
-        let diffused = self.along(&self.along(&texels, deviations, false), deviations, true);
+        let diffused = self.along(&self.along(&pixels, deviations, false), deviations, true);
         let mut lines: Vec<_> = planes.axis_iter_mut(Axis(1)).collect();
         lines.par_iter_mut().enumerate().for_each(|(y, line)| {
             for x in 0..columns {
-                let (own, diffused) = (texels[y * columns + x], diffused[y * columns + x]);
+                let (own, diffused) = (pixels[y * columns + x], diffused[y * columns + x]);
                 for k in 0..3 {
                     line[[k, x]] = own[k] + SHARE * (diffused[k] - own[k]);
                 }
@@ -57,11 +57,11 @@ impl Points<'_> {
     }
 
     /// Weighted means along the rows of an image, or along its columns.
-    fn along(&self, texels: &[Texel], deviations: Color, is_column: bool) -> Vec<Texel> {
-        let mut means = texels.to_vec();
+    fn along(&self, pixels: &[Pixel], deviations: Color, is_column: bool) -> Vec<Pixel> {
+        let mut means = pixels.to_vec();
         means.par_chunks_mut(self.size.1).enumerate().for_each(|(y, row)| {
             for (k, chunk) in row.chunks_mut(LANES).enumerate() {
-                write_means(self, texels, deviations, (y, k * LANES), is_column, chunk);
+                write_means(self, pixels, deviations, (y, k * LANES), is_column, chunk);
             }
         });
         means
@@ -76,18 +76,20 @@ impl Points<'_> {
 ))]
 fn write_means(
     points: &Points<'_>,
-    texels: &[Texel],
+    pixels: &[Pixel],
     deviations: Color,
     (row, column): (usize, usize),
     is_column: bool,
-    means: &mut [Texel],
+    means: &mut [Pixel],
 ) {
     let (rows, columns) = points.size;
     let (size, step) = if is_column { (rows, columns) } else { (columns, 1) };
     let first = row * columns + column;
     let widest = deviations.iter().fold(0.0, |a, &b| max(a, b));
     let mut distance = [f32::NAN; LANES];
-    distance[..means.len()].copy_from_slice(&points.distance[first..][..means.len()]);
+    for (distance, own) in distance.iter_mut().zip(means.iter()) {
+        *distance = own[3];
+    }
     let (mut footprint, mut spacing) = ([0.0; LANES], [0.0; LANES]);
     let (mut per_square, mut is_spread) = ([[0.0; LANES]; 3], [false; LANES]);
     for i in 0..LANES {
@@ -122,7 +124,7 @@ fn write_means(
             across[i] = offset as f32 * footprint[i];
         }
         for i in 0..LANES {
-            let [red, green, blue, distance] = texels[other[i] as usize];
+            let [red, green, blue, distance] = pixels[other[i] as usize];
             (light[0][i], light[1][i], light[2][i], along[i]) = (red, green, blue, distance);
         }
         for i in 0..LANES {

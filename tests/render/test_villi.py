@@ -44,8 +44,8 @@ def _channels() -> list[np.ndarray]:
 def _raised(
     channels: list[np.ndarray], length: float = _LENGTH, gaps: float = 0.0, **changes
 ) -> np.ndarray:
-    """Planes of a near wall of radiance 1 before a black one, with villi."""
-    planes = np.zeros((3, *_SIZE), np.float32)
+    """Planes of a near wall of radiance 1 before a far one, black by default, with villi."""
+    planes = np.full((3, *_SIZE), changes.get("behind", 0.0), np.float32)
     planes[:, :, : _EDGE + 1] = 1.0
     if changes.get("shadow"):
         planes[:, :, 25:35] = 0.0
@@ -210,13 +210,37 @@ def test_gaps_in_a_slanting_wall_are_darker():
 
 @pytest.mark.parametrize(
     ("scale", "contrast"),
-    [(2.0, True), (8.0, False), ((2.0, 1.2), True), ((2.0, 0.4), False), ((0.4, 2.0), False)],
+    [(2.0, True), (14.0, False), ((2.0, 1.2), True), ((2.0, 0.4), False), ((0.4, 2.0), False)],
 )
 def test_gaps_fade_where_pixels_do_not_resolve_them_or_the_wall_is_pulled(scale, contrast):
-    # Pixels lie 80 or 320 µm apart, villi 420 µm; pulled walls have fewer per pixel on one side.
+    # Pixels lie 80 or 560 µm apart, villi 420 µm; pulled walls have fewer per pixel on one side.
     planes = _raised(_channels(), gaps=0.7, scale=scale)[:, 1:-1, 1:_FLAT]
     assert (planes.std() > 0.05) == contrast
     assert contrast or (planes == 1.0).all()
+
+
+def test_gaps_between_tufts_replace_those_between_villi_that_pixels_do_not_resolve():
+    """Pixels 200 µm apart resolve tufts, 1.6 times as wide as villi, with 0.35 of their gaps."""
+    resolved, tufts = (
+        -np.log(_raised(_channels(), gaps=0.7, scale=scale)[1, 1:-1, 1:_FLAT])
+        for scale in (2.0, 5.0)
+    )
+    # Strokes alone have more contrast than a network with strokes, and more patches are in view.
+    assert 0.35 < np.ptp(tufts) / np.ptp(resolved) < 0.5
+    is_gap = tufts > 0.0
+    starts = np.maximum(np.diff(is_gap.astype(int), axis=1), 0).mean()
+    # Across a line as long as the spacing of tufts.
+    assert 0.3 < starts * 1.6 * _SPACING * _FOCAL / (5.0 * _NEAR) < 1.0
+
+
+def test_long_villi_shade_the_wall_behind_them():
+    """Between villi 12.5 pixels long, light falls to half at their ground, but for a soft tenth."""
+    behind = _raised(_channels(), behind=0.2)[1, :, _EDGE + 10]
+    expected = 1.0 - 0.5 * (1.0 - 10.0 / (1.5 * 12.5))
+    assert 0.2 * expected < behind.min() < 0.2 * 1.1 * expected
+    assert behind.max() > 0.3
+    short = _raised(_channels(), length=2.0 * _NEAR / _FOCAL, behind=0.2)[1, :, _EDGE + 1 :]
+    assert short.min() >= 0.2 - 1e-6
 
 
 def test_gaps_are_not_drawn_on_what_floats_in_front_or_without_villi():

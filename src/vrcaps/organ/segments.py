@@ -125,17 +125,17 @@ SMALL_BOWEL = declare_organ(
     OrganSegments(
         "small-bowel",
         (
-            Segment("duodenal_bulb", "small-bowel", "duodenum", 0.6, 1.2, 0.8, 0.3 * MM),
-            Segment("duodenum", "small-bowel", "duodenum", 1.0, 1.5, 0.3, 0.45 * MM),
-            Segment("jejunum", "small-bowel", "jejunum", 1.1, 1.1, 0.4, 0.45 * MM),
-            Segment("ileum", "small-bowel", "ileum", 0.6, 0.7, 1.3, 0.3 * MM),
+            Segment("duodenal_bulb", "small-bowel", "duodenum", 0.6, 1.2, 0.8, 0.45 * MM),
+            Segment("duodenum", "small-bowel", "duodenum", 1.0, 1.5, 0.3, 0.65 * MM),
+            Segment("jejunum", "small-bowel", "jejunum", 1.1, 1.1, 0.4, 0.65 * MM),
+            Segment("ileum", "small-bowel", "ileum", 0.6, 0.7, 1.3, 0.45 * MM),
         ),
         {"jejunum": 0.4, "ileum": 0.6},
     )
 )
 """Villi are tall and bile is strong in duodenum and jejunum; in the ileum villi are short and
 vessels are visible (Steinbrück et al., Atlas of Video Capsule Endoscopy, 2014, chapter 5).
-They are 0.5 to 1 mm long, of which half stands out over their neighbors (chosen by eye)."""
+They are 0.5 to 1 mm long, of which two thirds stand out at an outline (chosen by eye)."""
 
 COLON = declare_organ(
     OrganSegments(

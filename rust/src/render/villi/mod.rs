@@ -1,11 +1,12 @@
 //! Villi: gaps between those seen from above, and a fringe of those at the outlines of folds.
 //!
 //! The wall of the scene ends at the bases of the villi. Seen from above, the gaps between them are a
-//! dark network, deeper in strokes, in more detail than a texture of a whole gut could hold; they
-//! fade where pixels do not resolve them. Along an outline villi are seen from the side: a pixel
-//! behind it within the length of a villus takes the radiance of the wall at the nearest pixel of the
-//! outline. Gaps and lengths are fixed to one shape of the wall, so villi stay in their places while
-//! the wall moves. Only radiance changes; depth and labels are those of the wall.
+//! dark network, deeper in strokes, in more detail than a texture of a whole gut could hold; where
+//! pixels do not resolve them, fainter and wider strokes between tufts of villi are drawn. Along an
+//! outline villi are seen from the side: a pixel behind it within the length of a villus takes the
+//! radiance of the wall at the nearest pixel of the outline, and is shaded between villi. Gaps and
+//! lengths are fixed to one shape of the wall, so villi stay in their places while the wall moves.
+//! Only radiance changes; depth and labels are those of the wall.
 
 mod outlines;
 
@@ -26,10 +27,14 @@ const SEEDS: [u32; 4] = [0x7669_6c6c, 0x7669_6c68, 0x7669_6c67, 0x7669_6c70];
 /// to its mean, and the range of this ratio; chosen by eye. Mucus fills gaps in places, and villi lie
 /// flat in others.
 const PATCH: f32 = 5e-3;
-const PATCHINESS: f32 = 0.7;
+const PATCHINESS: f32 = 0.4;
 const DENSITIES: [f32; 2] = [0.1, 2.5];
-/// Pixels across villi below which gaps are invisible, and from which they are drawn fully.
-const RESOLVED: [f32; 2] = [0.9, 1.5];
+/// Pixels across villi, or tufts, below which gaps are invisible, and from which they are drawn fully.
+const RESOLVED: [f32; 2] = [1.2, 2.5];
+/// Size of tufts relative to villi, and density of the gaps between them relative to those between
+/// villi; by eye.
+const TUFT: f32 = 1.6;
+const TUFT_GAPS: f32 = 0.35;
 /// Pixels across villi from which, and up to which, gaps fade to `PRESSED` of their density: villi so
 /// near to the camera lie against the dome, which closes the gaps between them.
 const NEAR: [f32; 2] = [4.0, 8.0];
@@ -192,7 +197,8 @@ impl<'a> Seen<'a> {
         focal: f32,
     ) {
         let width = width(spacing);
-        let strokes = Strokes::new(Lattice::new(SEEDS[2], STROKES * spacing));
+        let strokes =
+            [1.0, TUFT].map(|size| Strokes::new(Lattice::new(SEEDS[2], STROKES * size * spacing)));
         let cells = Cells::new(SEEDS[0], spacing);
         let patches = Lattice::new(SEEDS[3], PATCH);
         let columns = self.size.1;
@@ -201,7 +207,7 @@ impl<'a> Seen<'a> {
             for start in (0..columns).step_by(LANES) {
                 let pixels = y * columns + start..y * columns + columns.min(start + LANES);
                 let (weights, lanes) = gap_weights(self, places, pixels, width, focal);
-                if weights.iter().all(|&weight| weight <= 0.0) {
+                if weights.as_flattened().iter().all(|&weight| weight <= 0.0) {
                     continue;
                 }
                 let remaining = remaining(&strokes, &cells, &patches, &lanes, &weights);
@@ -215,8 +221,8 @@ impl<'a> Seen<'a> {
     }
 }
 
-/// Weights of the gaps between villi of a width at up to `LANES` pixels of a row, 0 where none are
-/// drawn, and the positions of the others.
+/// Weights of the gaps between villi of a width, and between tufts of them, at up to `LANES` pixels of
+/// a row, 0 where none are drawn, and the positions of the others.
 ///
 /// Gaps are drawn if pixels resolve them, less next to the dome, and where the wall is seen aslant:
 /// by the squared sine of the angle between the ray and its normal.
@@ -231,7 +237,7 @@ fn gap_weights(
     pixels: Range<usize>,
     width: f32,
     focal: f32,
-) -> (Lane, Lane3) {
+) -> ([Lane; 2], Lane3) {
     let (mut own, mut right, mut down) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3], [[0.0; LANES]; 3]);
     let (mut distance, mut rises) = ([0.0; LANES], [[0.0; LANES]; 2]);
     let mut gaps = [0.0; LANES];
@@ -249,7 +255,7 @@ fn gap_weights(
             own[k][i] = places[pixel][k];
         }
     }
-    let mut weights = [0.0; LANES];
+    let mut weights = [[0.0; LANES]; 2];
     for i in 0..LANES {
         let (right, down) = (at(&right, i), at(&down, i));
         let (across, along) = (dot(right, right), dot(down, down));
@@ -258,13 +264,16 @@ fn gap_weights(
         let resolved = width / widest.sqrt();
         let open = 1.0 - (1.0 - PRESSED) * smoothstep(NEAR[0], NEAR[1], resolved);
         let round = smoothstep(ROUND[0], ROUND[1], area / widest);
-        let drawn = open * smoothstep(RESOLVED[0], RESOLVED[1], resolved) * round;
+        let [single, tuft] =
+            [1.0, TUFT].map(|size| smoothstep(RESOLVED[0], RESOLVED[1], resolved * size));
         let [right, down] = [0, 1].map(|k| rises[k][i] / distance[i]);
         let square = (right * right + down * down) * focal * focal;
         let slant = if square.is_nan() { 0.0 } else { square / (1.0 + square) };
-        let weight = gaps[i] * drawn * (FACING + (1.0 - FACING) * slant);
-        let is_drawn = !(across + along).is_nan() & (widest > 0.0) & (weight > 0.0);
-        weights[i] = if is_drawn { weight } else { 0.0 };
+        let weight = gaps[i] * open * round * (FACING + (1.0 - FACING) * slant);
+        let is_drawn = !(across + along).is_nan() & (widest > 0.0) & (weight * tuft > 0.0);
+        let weight = if is_drawn { weight } else { 0.0 };
+        weights[0][i] = weight * single;
+        weights[1][i] = weight * TUFT_GAPS * tuft * (1.0 - single);
         for k in 0..3 {
             own[k][i] = if is_drawn { own[k][i] } else { 0.0 };
         }
@@ -272,29 +281,34 @@ fn gap_weights(
     (weights, own)
 }
 
-/// Fraction of the light of points that gaps between villi leave, by color, for mean densities of the
-/// gaps.
+/// Fraction of the light of points that gaps between villi and tufts leave, by color, for mean
+/// densities of the gaps.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
 fn remaining(
-    strokes: &Strokes,
+    strokes: &[Strokes; 2],
     cells: &Cells,
     patches: &Lattice,
     points: &Lane3,
-    weights: &Lane,
+    weights: &[Lane; 2],
 ) -> Lane3 {
-    let depths = strokes.depths(points);
+    let [depths, tufts] = strokes.each_ref().map(|strokes| strokes.depths(points));
     let patches = patches.gradients(points);
-    let borders = cells.borders(&leaf_space(points, LEAF));
+    let borders = if weights[0] == [0.0; LANES] {
+        [0.0; LANES]
+    } else {
+        cells.borders(&leaf_space(points, LEAF))
+    };
     let mut remaining = [[0.0; LANES]; 3];
     for i in 0..LANES {
         let around = 1.0 - smoothstep(0.0, GAP, borders[i]) - MEAN_GAP;
         let patch = 1.0 + PATCHINESS / DEVIATION * patches[i];
-        let weight = weights[i] * clamp(patch, DENSITIES[0], DENSITIES[1]);
-        let density = weight * (depths[i] + AROUND * (around - depths[i]));
+        let single = weights[0][i] * (depths[i] + AROUND * (around - depths[i]));
+        let density =
+            (single + weights[1][i] * tufts[i]) * clamp(patch, DENSITIES[0], DENSITIES[1]);
         for k in 0..3 {
             remaining[k][i] = exp(-GAP_COLOR[k] * density);
         }

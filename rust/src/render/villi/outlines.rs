@@ -26,9 +26,13 @@ const EDGE_COLOR: [f32; 3] = [0.45, 0.6, 0.65];
 /// Pixels along villi up to which a fringe is a soft band, and from which its villi stand out.
 const FRINGE: [f32; 2] = [1.5, 3.5];
 /// Length over which the tip of a villus ends [px].
-const TIP: f32 = 3.0;
+const TIP: f32 = 1.5;
 /// Maximum weight of single villi in a fringe; the rest is its mean over villi of all lengths.
-const SINGLE: f32 = 0.5;
+const SINGLE: f32 = 0.9;
+/// Fraction of the light that villi take from the wall behind them, at their ground, and pixels along
+/// villi up to which they take none, and from which they take all of it; by eye.
+const SHADE: f32 = 0.5;
+const SHADING: [f32; 2] = [2.0, 7.0];
 /// Minimum width of what stands out [px]: narrower villi stick together in tufts.
 const TUFT: f32 = 5.0;
 /// Widths of tufts relative to those of villi.
@@ -53,6 +57,8 @@ pub struct Outline {
     middle: f32,
     /// Weight of single villi in the fringe; the rest is its mean over villi of all lengths.
     sharp: f32,
+    /// Fraction of the light that it takes from the wall behind, at its ground.
+    shade: f32,
 }
 
 impl Seen<'_> {
@@ -106,7 +112,8 @@ impl Seen<'_> {
                 let mean = min(self.length[pixel] * per_length, WIDEST / TALLEST * focal);
                 let (length, longest) = (mean * varied * profile, mean * TALLEST);
                 let sharp = SINGLE * smoothstep(FRINGE[0], FRINGE[1], mean);
-                outlines.push(Outline { pixel, length, longest, middle, sharp });
+                let shade = SHADE * smoothstep(SHADING[0], SHADING[1], mean);
+                outlines.push(Outline { pixel, length, longest, middle, sharp, shade });
             }
         }
         outlines
@@ -135,7 +142,8 @@ impl Seen<'_> {
         }
     }
 
-    /// Draws villi, each over the pixels behind that are nearest to its outline.
+    /// Draws villi, each over the pixels behind that are nearest to its outline, and shades those
+    /// between them.
     pub fn paint(&self, outlines: &[Outline], planes: &mut ArrayViewMut3<'_, f32>) {
         let columns = self.size.1;
         let color = |pixel: usize, planes: &ArrayViewMut3<'_, f32>| {
@@ -147,19 +155,16 @@ impl Seen<'_> {
             (outline.pixel, outline.longest, distance + 0.5 * STEP..f32::INFINITY)
         };
         for (pixel, outline, apart) in self.nearest(outlines.iter().map(beyond)) {
-            let Outline { pixel: base, length, longest, middle, sharp } = outlines[outline];
+            let Outline { pixel: base, length, longest, middle, sharp, shade } = outlines[outline];
             let mix = |mean: f32, single: f32| mean + sharp * (single - mean);
             let mean = clamp(1.0 - apart / longest, 0.0, 1.0);
             let covered = mix(mean, clamp((length - apart) / TIP + 0.5, 0.0, 1.0));
-            if covered <= 0.0 {
-                continue;
-            }
             // Tips let light through.
             let (along, middle) = (min(apart / mix(longest, length), 1.0), mix(0.5, middle));
             let (opacity, tone) =
                 (covered * (1.0 - 0.35 * along), (0.7 + 0.2 * middle) * (1.0 - 0.2 * along));
             let villus = color(self.inside(base, pixel, apart), planes).map(|x| x * tone);
-            let behind = color(pixel, planes);
+            let behind = color(pixel, planes).map(|x| x * (1.0 - shade * mean));
             drawn.push((pixel, [0, 1, 2].map(|k| behind[k] + opacity * (villus[k] - behind[k]))));
         }
         for (pixel, villus) in drawn {

@@ -33,7 +33,7 @@ const DENSITIES: [f32; 2] = [0.1, 2.5];
 const RESOLVED: [f32; 2] = [1.2, 2.5];
 /// Size of tufts relative to villi, and density of the gaps between them relative to those between
 /// villi; by eye.
-const TUFT: f32 = 1.6;
+const TUFT_SIZE: f32 = 1.6;
 const TUFT_GAPS: f32 = 0.35;
 /// Pixels across villi from which, and up to which, gaps fade to `PRESSED` of their density: villi so
 /// near to the camera lie against the dome, which closes the gaps between them.
@@ -197,8 +197,8 @@ impl<'a> Seen<'a> {
         focal: f32,
     ) {
         let width = width(spacing);
-        let strokes =
-            [1.0, TUFT].map(|size| Strokes::new(Lattice::new(SEEDS[2], STROKES * size * spacing)));
+        let strokes = [1.0, TUFT_SIZE]
+            .map(|size| Strokes::new(Lattice::new(SEEDS[2], STROKES * size * spacing)));
         let cells = Cells::new(SEEDS[0], spacing);
         let patches = Lattice::new(SEEDS[3], PATCH);
         let columns = self.size.1;
@@ -265,7 +265,7 @@ fn gap_weights(
         let open = 1.0 - (1.0 - PRESSED) * smoothstep(NEAR[0], NEAR[1], resolved);
         let round = smoothstep(ROUND[0], ROUND[1], area / widest);
         let [single, tuft] =
-            [1.0, TUFT].map(|size| smoothstep(RESOLVED[0], RESOLVED[1], resolved * size));
+            [1.0, TUFT_SIZE].map(|size| smoothstep(RESOLVED[0], RESOLVED[1], resolved * size));
         let [right, down] = [0, 1].map(|k| rises[k][i] / distance[i]);
         let square = (right * right + down * down) * focal * focal;
         let slant = if square.is_nan() { 0.0 } else { square / (1.0 + square) };
@@ -281,8 +281,8 @@ fn gap_weights(
     (weights, own)
 }
 
-/// Fraction of the light of points that gaps between villi and tufts leave, by color, for mean
-/// densities of the gaps.
+/// Fraction of the light of points that gaps between villi and tufts leave, by color, for weights of
+/// the gaps; gaps without weight at all points are not computed.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -295,13 +295,15 @@ fn remaining(
     points: &Lane3,
     weights: &[Lane; 2],
 ) -> Lane3 {
-    let [depths, tufts] = strokes.each_ref().map(|strokes| strokes.depths(points));
+    let (mut depths, mut borders, mut tufts) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+    if weights[0] != [0.0; LANES] {
+        depths = strokes[0].depths(points);
+        borders = cells.borders(&leaf_space(points, LEAF));
+    }
+    if weights[1] != [0.0; LANES] {
+        tufts = strokes[1].depths(points);
+    }
     let patches = patches.gradients(points);
-    let borders = if weights[0] == [0.0; LANES] {
-        [0.0; LANES]
-    } else {
-        cells.borders(&leaf_space(points, LEAF))
-    };
     let mut remaining = [[0.0; LANES]; 3];
     for i in 0..LANES {
         let around = 1.0 - smoothstep(0.0, GAP, borders[i]) - MEAN_GAP;

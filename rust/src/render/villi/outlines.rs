@@ -159,6 +159,9 @@ impl Seen<'_> {
             let mix = |mean: f32, single: f32| mean + sharp * (single - mean);
             let mean = clamp(1.0 - apart / longest, 0.0, 1.0);
             let covered = mix(mean, clamp((length - apart) / TIP + 0.5, 0.0, 1.0));
+            if covered <= 0.0 {
+                continue;
+            }
             // Tips let light through.
             let (along, middle) = (min(apart / mix(longest, length), 1.0), mix(0.5, middle));
             let (opacity, tone) =

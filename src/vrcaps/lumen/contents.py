@@ -84,7 +84,7 @@ class Bubbles:
     shade: _Fraction = 1.0
     ripple: Annotated[float, Range(0.0, 0.5)] = 0.22
     roughness: Annotated[float, Range(above=0.0, max=1.0)] = 0.005
-    color: tuple[_Fraction, _Fraction, _Fraction] = (0.5, 0.34, 0.2)
+    color: tuple[_Fraction, _Fraction, _Fraction] = (0.44, 0.34, 0.25)
 
     def __post_init__(self) -> None:
         check_fields(self, of="Bubbles")

@@ -113,11 +113,11 @@ MUCOSAE: dict[str, Mucosa] = {
         clearcoat=0.7,
     ),
     "small-bowel": Mucosa(
-        base_color=(0.326, 0.178, 0.121),
+        base_color=(0.326, 0.177, 0.145),
         redness_variation=0.30,
         patchiness=0.6,
-        patient_variation=(0.08, 0.42),
-        bile=0.30,
+        patient_variation=(0.14, 0.42),
+        bile=0.40,
         vessel_contrast=0.2,
         pit_spacing=0.36 * MM,
         pit_slope=0.11,
@@ -130,7 +130,7 @@ MUCOSAE: dict[str, Mucosa] = {
         mucus_tint=(1.10, 1.5, 1.5),
         roughness=1.0,
         clearcoat=0.08,
-        clearcoat_variation=0.5,
+        clearcoat_variation=0.9,
     ),
 }
 """Mucosae by organ."""

@@ -166,7 +166,7 @@ def _bubbles(mean: float, rng: np.random.Generator) -> Bubbles | int:
     prevalence, foam = _fraction(mean, rng), float(rng.uniform())
     per_area = 25.0 * 6.0**foam  # 25 to 150 per cm²
     raft = 8.0 * 10.0**foam
-    radius = 0.36 * MM * 0.5**foam
+    radius = 0.26 * MM * 0.6**foam
     if prevalence == 0.0:
         return 0
     return Bubbles(
@@ -174,6 +174,7 @@ def _bubbles(mean: float, rng: np.random.Generator) -> Bubbles | int:
         prevalence=prevalence,
         raft_size=round(raft, 2),
         radius=round(radius, 7),
+        largest=1.6 * MM,
     )
 
 
@@ -209,7 +210,7 @@ def _medium(of: Prevalence, rng: np.random.Generator) -> Medium | int:
     turbidity = math.exp(float(rng.normal(0.0, 0.3)))
     bile = math.exp(float(rng.normal(0.0, 0.4)))
     flocs = float(rng.uniform(0.0, 500.0))
-    stain = of.stain * math.exp(float(rng.normal(0.0, 0.6)))
+    stain = of.stain * math.exp(float(rng.normal(0.0, 0.8)))
     if prevalence == stain == 0.0:
         return 0
     return Medium(

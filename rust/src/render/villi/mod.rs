@@ -2,7 +2,8 @@
 //!
 //! The wall of the scene ends at the bases of the villi. Seen from above, the gaps between them are a
 //! dark network, deeper in strokes, in more detail than a texture of a whole gut could hold; where
-//! pixels do not resolve them, fainter and wider strokes between tufts of villi are drawn. Along an
+//! pixels do not resolve them, fainter and wider strokes between tufts of villi are drawn. Seen
+//! aslant, a ray passes several villi, so that gaps are streaks along the slope. Along an
 //! outline villi are seen from the side: a pixel behind it within the length of a villus takes the
 //! radiance of the wall at the nearest pixel of the outline, and is shaded between villi. Gaps and
 //! lengths are fixed to one shape of the wall, so villi stay in their places while the wall moves.
@@ -14,7 +15,7 @@ use crate::mucosa::noise::{Cells, DEVIATION, Lattice, Vec3, exp, smoothstep};
 use crate::mucosa::strokes::{LEAF, Strokes, leaf_space};
 use crate::pool::on_pool;
 use crate::render::diffusion::Points;
-use crate::simd::f32x64::{LANES, Lane, Lane3, at, clamp, dot, max};
+use crate::simd::f32x64::{LANES, Lane, Lane3, at, clamp, dot, max, min};
 use numpy::ndarray::{ArrayView2, ArrayViewMut3, Axis};
 use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -44,15 +45,22 @@ const PRESSED: f32 = 0.4;
 const ROUND: [f32; 2] = [0.2, 0.4];
 /// Spacing of the lattice of strokes [spacings of villi].
 const STROKES: f32 = 0.9;
-/// Part of the gaps that surrounds each villus; the rest are strokes.
+/// Part of the gaps that surrounds each villus in a wall that faces the camera; the rest are strokes,
+/// and all are in one seen edge-on.
 const AROUND: f32 = 0.5;
 /// Difference of the distances to the nearest two centers at which the gap around a villus ends
 /// [cells], and the mean depth of such gaps.
 const GAP: f32 = 0.45;
 const MEAN_GAP: f32 = 0.59;
-/// Density of gaps in a wall that faces the camera, relative to one seen aslant: the LEDs are next to
-/// the camera and light the ground of the former, by assumption.
-const FACING: f32 = 0.45;
+/// Relative density of gaps in a wall that faces the camera and in one seen edge-on: the LEDs are next
+/// to the camera and light the ground of the former, by assumption, and streaks of the latter are means
+/// of several gaps, which have less contrast.
+const FACING: f32 = 0.63;
+const ASLANT: f32 = 1.4;
+/// Visible length of a villus relative to its width, by assumption: a ray that meets the wall at an
+/// angle θ to the normal passes over this length times tan θ, of which `STEEPEST` is the maximum.
+const LEAN: f32 = 2.5;
+const STEEPEST: f32 = 2.0;
 /// Optical density of a gap in red, green and blue relative to green.
 const GAP_COLOR: [f32; 3] = [0.45, 1.0, 1.1];
 
@@ -206,11 +214,11 @@ impl<'a> Seen<'a> {
         lines.par_iter_mut().enumerate().for_each(|(y, line)| {
             for start in (0..columns).step_by(LANES) {
                 let pixels = y * columns + start..y * columns + columns.min(start + LANES);
-                let (weights, lanes) = gap_weights(self, places, pixels, width, focal);
-                if weights.as_flattened().iter().all(|&weight| weight <= 0.0) {
+                let gaps = gaps(self, places, pixels, width, focal);
+                if gaps.weights.as_flattened().iter().all(|&weight| weight <= 0.0) {
                     continue;
                 }
-                let remaining = remaining(&strokes, &cells, &patches, &lanes, &weights);
+                let remaining = remaining(&strokes, &cells, &patches, &gaps);
                 for i in 0..LANES.min(columns - start) {
                     for k in 0..3 {
                         line[[k, start + i]] *= remaining[k][i];
@@ -221,8 +229,19 @@ impl<'a> Seen<'a> {
     }
 }
 
-/// Weights of the gaps between villi of a width, and between tufts of them, at up to `LANES` pixels of
-/// a row, 0 where none are drawn, and the positions of the others.
+/// Gaps at up to `LANES` pixels of a row.
+struct Gaps {
+    /// Weights of the gaps between villi, and between tufts of them, 0 where none are drawn.
+    weights: [Lane; 2],
+    /// Part of the gaps between villi that surrounds each of them.
+    around: Lane,
+    /// Positions [m].
+    places: Lane3,
+    /// Third of the displacement along the wall over which a ray passes villi [m].
+    leans: Lane3,
+}
+
+/// Gaps between villi of a width at up to `LANES` pixels of a row.
 ///
 /// Gaps are drawn if pixels resolve them, less next to the dome, and where the wall is seen aslant:
 /// by the squared sine of the angle between the ray and its normal.
@@ -231,18 +250,12 @@ impl<'a> Seen<'a> {
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn gap_weights(
-    seen: &Seen<'_>,
-    places: &[Vec3],
-    pixels: Range<usize>,
-    width: f32,
-    focal: f32,
-) -> ([Lane; 2], Lane3) {
+fn gaps(seen: &Seen<'_>, places: &[Vec3], pixels: Range<usize>, width: f32, focal: f32) -> Gaps {
     let (mut own, mut right, mut down) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3], [[0.0; LANES]; 3]);
     let (mut distance, mut rises) = ([0.0; LANES], [[0.0; LANES]; 2]);
-    let mut gaps = [0.0; LANES];
+    let mut densities = [0.0; LANES];
     for (i, pixel) in pixels.enumerate() {
-        (gaps[i], distance[i]) = (seen.gaps[pixel], seen.distance[pixel]);
+        (densities[i], distance[i]) = (seen.gaps[pixel], seen.distance[pixel]);
         for (next, step, rise) in [(pixel + 1, &mut right, 0), (pixel + seen.size.1, &mut down, 1)]
         {
             let beside = places.get(next).map_or([f32::NAN; 3], |&place| place);
@@ -255,7 +268,8 @@ fn gap_weights(
             own[k][i] = places[pixel][k];
         }
     }
-    let mut weights = [[0.0; LANES]; 2];
+    let (mut weights, mut leans) = ([[0.0; LANES]; 2], [[0.0; LANES]; 3]);
+    let mut around = [0.0; LANES];
     for i in 0..LANES {
         let (right, down) = (at(&right, i), at(&down, i));
         let (across, along) = (dot(right, right), dot(down, down));
@@ -266,49 +280,49 @@ fn gap_weights(
         let round = smoothstep(ROUND[0], ROUND[1], area / widest);
         let [single, tuft] =
             [1.0, TUFT_SIZE].map(|size| smoothstep(RESOLVED[0], RESOLVED[1], resolved * size));
-        let [right, down] = [0, 1].map(|k| rises[k][i] / distance[i]);
-        let square = (right * right + down * down) * focal * focal;
+        let [rise_right, rise_down] = [0, 1].map(|k| rises[k][i] / distance[i]);
+        let square = (rise_right * rise_right + rise_down * rise_down) * focal * focal;
         let slant = if square.is_nan() { 0.0 } else { square / (1.0 + square) };
-        let weight = gaps[i] * open * round * (FACING + (1.0 - FACING) * slant);
+        let slope = [0, 1, 2].map(|k| rise_right * right[k] + rise_down * down[k]);
+        let reach = LEAN * width * min(square.sqrt(), STEEPEST);
+        let lean = reach / (3.0 * max(dot(slope, slope), 1e-30).sqrt());
+        let weight = densities[i] * open * round * (FACING + (ASLANT - FACING) * slant);
         let is_drawn = !(across + along).is_nan() & (widest > 0.0) & (weight * tuft > 0.0);
         let weight = if is_drawn { weight } else { 0.0 };
         weights[0][i] = weight * single;
+        around[i] = AROUND * (1.0 - slant);
         weights[1][i] = weight * TUFT_GAPS * tuft * (1.0 - single);
         for k in 0..3 {
             own[k][i] = if is_drawn { own[k][i] } else { 0.0 };
+            leans[k][i] = if is_drawn && slant > 0.0 { lean * slope[k] } else { 0.0 };
         }
     }
-    (weights, own)
+    Gaps { weights, around, places: own, leans }
 }
 
-/// Fraction of the light of points that gaps between villi and tufts leave, by color, for weights of
-/// the gaps; gaps without weight at all points are not computed.
+/// Fraction of the light at pixels that gaps between villi and tufts leave, by color; gaps without
+/// weight at all pixels are not computed.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn remaining(
-    strokes: &[Strokes; 2],
-    cells: &Cells,
-    patches: &Lattice,
-    points: &Lane3,
-    weights: &[Lane; 2],
-) -> Lane3 {
+fn remaining(strokes: &[Strokes; 2], cells: &Cells, patches: &Lattice, gaps: &Gaps) -> Lane3 {
+    let Gaps { weights, around, places, .. } = gaps;
     let (mut depths, mut borders, mut tufts) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
     if weights[0] != [0.0; LANES] {
-        depths = strokes[0].depths(points);
-        borders = cells.borders(&leaf_space(points, LEAF));
+        depths = gaps.mean(&strokes[0]);
+        borders = cells.borders(&leaf_space(places, LEAF));
     }
     if weights[1] != [0.0; LANES] {
-        tufts = strokes[1].depths(points);
+        tufts = gaps.mean(&strokes[1]);
     }
-    let patches = patches.gradients(points);
+    let patches = patches.gradients(places);
     let mut remaining = [[0.0; LANES]; 3];
     for i in 0..LANES {
-        let around = 1.0 - smoothstep(0.0, GAP, borders[i]) - MEAN_GAP;
+        let border = 1.0 - smoothstep(0.0, GAP, borders[i]) - MEAN_GAP;
         let patch = 1.0 + PATCHINESS / DEVIATION * patches[i];
-        let single = weights[0][i] * (depths[i] + AROUND * (around - depths[i]));
+        let single = weights[0][i] * (depths[i] + around[i] * (border - depths[i]));
         let density =
             (single + weights[1][i] * tufts[i]) * clamp(patch, DENSITIES[0], DENSITIES[1]);
         for k in 0..3 {
@@ -316,6 +330,27 @@ fn remaining(
         }
     }
     remaining
+}
+
+impl Gaps {
+    /// Mean depth of strokes over the villi that each ray passes.
+    #[inline(always)]
+    fn mean(&self, strokes: &Strokes) -> Lane {
+        let mut sum = strokes.depths(&self.places);
+        for sign in [-1.0, 1.0] {
+            let mut places = self.places;
+            for (along, leans) in places.iter_mut().zip(&self.leans) {
+                for i in 0..LANES {
+                    along[i] += sign * leans[i];
+                }
+            }
+            let depths = strokes.depths(&places);
+            for i in 0..LANES {
+                sum[i] += depths[i];
+            }
+        }
+        sum.map(|sum| sum / 3.0)
+    }
 }
 
 /// Width of a villus, a leaf `LEAF` times as long as wide, given the root of the area per villus [m].

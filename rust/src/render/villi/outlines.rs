@@ -16,13 +16,14 @@ const WIDEST: f32 = 0.11;
 const INWARD: f32 = 1.5;
 /// Radius of curvature of the edges of folds, which the mesh is too coarse to have [m], by assumption,
 /// and its maximum in the image [px].
-const EDGE: f32 = 0.4e-3;
-const WIDEST_EDGE: f32 = 8.0;
-/// Difference of distances at an outline from which it is the edge of a fold [m].
+const EDGE: f32 = 1.0e-3;
+const WIDEST_EDGE: f32 = 12.0;
+/// Difference of distances at an outline from which it is the edge of a fold before an open lumen [m];
+/// below, folds are in contact.
 const EDGE_STEP: f32 = 3.0e-3;
 /// Optical density of an edge that is edge-on, in red, green and blue: less in red, as tissue lets it
 /// through. The normals of the mesh contribute the rest. By eye.
-const EDGE_COLOR: [f32; 3] = [0.45, 0.6, 0.65];
+const EDGE_COLOR: [f32; 3] = [0.38, 0.51, 0.55];
 /// Pixels along villi up to which a fringe is a soft band, and from which its villi stand out.
 const FRINGE: [f32; 2] = [1.5, 3.5];
 /// Length over which the tip of a villus ends [px].
@@ -33,6 +34,11 @@ const SINGLE: f32 = 0.9;
 /// villi up to which they take none, and from which they take all of it; by eye.
 const SHADE: f32 = 0.5;
 const SHADING: [f32; 2] = [2.0, 7.0];
+/// Opacity of villi that stand out between folds in contact, and fraction of the shade that is absent
+/// in places, which have the size `PLACE` [m]; by eye.
+const IN_CONTACT: f32 = 0.4;
+const UNEVEN: f32 = 0.8;
+const PLACE: f32 = 2.5e-3;
 /// Minimum width of what stands out [px]: narrower villi stick together in tufts.
 const TUFT: f32 = 5.0;
 /// Widths of tufts relative to those of villi.
@@ -45,6 +51,9 @@ const SHOULDER: f32 = 0.55;
 const SPREAD: f32 = 0.25 / DEVIATION;
 /// Maximum length relative to the mean.
 const TALLEST: f32 = 1.5;
+
+/// Rows of an image that one thread searches for the nearest outlines.
+const BAND: usize = 32;
 
 /// Pixel of an outline.
 pub struct Outline {
@@ -59,6 +68,8 @@ pub struct Outline {
     sharp: f32,
     /// Fraction of the light that it takes from the wall behind, at its ground.
     shade: f32,
+    /// Opacity at its ground.
+    opacity: f32,
 }
 
 impl Seen<'_> {
@@ -81,6 +92,11 @@ impl Seen<'_> {
         around.iter().fold(0.0, |step, &next| max(self.distance[next] - self.distance[pixel], step))
     }
 
+    /// Degree to which an outline is the edge of a fold before an open lumen, 0 for folds in contact.
+    fn openness(&self, pixel: usize) -> f32 {
+        smoothstep(STEP, EDGE_STEP, self.step(pixel))
+    }
+
     /// Villi of the pixels of outlines.
     pub fn grow(
         &self,
@@ -91,6 +107,7 @@ impl Seen<'_> {
     ) -> Vec<Outline> {
         let tufts = TUFTS.map(|size| Cells::new(SEEDS[0], size * spacing));
         let lengths = Lattice::new(SEEDS[1], 1.5 * spacing);
+        let shaded = Lattice::new(SEEDS[3], PLACE);
         let mut outlines = Vec::with_capacity(pixels.len());
         for pixels in pixels.chunks(LANES) {
             let mut lanes = [[0.0; LANES]; 3];
@@ -112,8 +129,11 @@ impl Seen<'_> {
                 let mean = min(self.length[pixel] * per_length, WIDEST / TALLEST * focal);
                 let (length, longest) = (mean * varied * profile, mean * TALLEST);
                 let sharp = SINGLE * smoothstep(FRINGE[0], FRINGE[1], mean);
-                let shade = SHADE * smoothstep(SHADING[0], SHADING[1], mean);
-                outlines.push(Outline { pixel, length, longest, middle, sharp, shade });
+                let open = self.openness(pixel);
+                let even = 1.0 - UNEVEN * clamp(0.4 - 0.6 * shaded.gradient(place), 0.0, 1.0);
+                let shade = SHADE * smoothstep(SHADING[0], SHADING[1], mean) * open * even;
+                let opacity = IN_CONTACT + (1.0 - IN_CONTACT) * open;
+                outlines.push(Outline { pixel, length, longest, middle, sharp, shade, opacity });
             }
         }
         outlines
@@ -134,8 +154,7 @@ impl Seen<'_> {
             }
             let base = outlines[outline];
             let inward = 1.0 - min((apart + 0.5) / radius(base), 1.0);
-            let density = (1.0 - (1.0 - inward * inward).sqrt())
-                * smoothstep(STEP, EDGE_STEP, self.step(base));
+            let density = (1.0 - (1.0 - inward * inward).sqrt()) * self.openness(base);
             for k in 0..3 {
                 planes[[k, pixel / columns, pixel % columns]] *= exp(-EDGE_COLOR[k] * density);
             }
@@ -155,7 +174,8 @@ impl Seen<'_> {
             (outline.pixel, outline.longest, distance + 0.5 * STEP..f32::INFINITY)
         };
         for (pixel, outline, apart) in self.nearest(outlines.iter().map(beyond)) {
-            let Outline { pixel: base, length, longest, middle, sharp, shade } = outlines[outline];
+            let Outline { pixel: base, length, longest, middle, sharp, shade, opacity } =
+                outlines[outline];
             let mix = |mean: f32, single: f32| mean + sharp * (single - mean);
             let mean = clamp(1.0 - apart / longest, 0.0, 1.0);
             let covered = mix(mean, clamp((length - apart) / TIP + 0.5, 0.0, 1.0));
@@ -164,8 +184,10 @@ impl Seen<'_> {
             }
             // Tips let light through.
             let (along, middle) = (min(apart / mix(longest, length), 1.0), mix(0.5, middle));
-            let (opacity, tone) =
-                (covered * (1.0 - 0.35 * along), (0.7 + 0.2 * middle) * (1.0 - 0.2 * along));
+            let (opacity, tone) = (
+                opacity * covered * (1.0 - 0.35 * along),
+                (0.7 + 0.2 * middle) * (1.0 - 0.2 * along),
+            );
             let villus = color(self.inside(base, pixel, apart), planes).map(|x| x * tone);
             let behind = color(pixel, planes).map(|x| x * (1.0 - shade * mean));
             drawn.push((pixel, [0, 1, 2].map(|k| behind[k] + opacity * (villus[k] - behind[k]))));
@@ -184,21 +206,28 @@ impl Seen<'_> {
         outlines: impl Iterator<Item = (usize, f32, Range<f32>)>,
     ) -> Vec<(usize, usize, f32)> {
         let (rows, columns) = self.size;
+        let outlines: Vec<_> = outlines.collect();
         let mut nearest = vec![(i32::MAX, 0usize); rows * columns];
-        for (k, (outline, reach, range)) in outlines.enumerate() {
-            let reach = (reach + 1.0) as i32;
-            let (y, x) = ((outline / columns) as i32, (outline % columns) as i32);
-            for row in (y - reach).max(0)..=(y + reach).min(rows as i32 - 1) {
-                for column in (x - reach).max(0)..=(x + reach).min(columns as i32 - 1) {
-                    let pixel = row as usize * columns + column as usize;
-                    let square = (row - y) * (row - y) + (column - x) * (column - x);
-                    let is_within = range.contains(&self.distance[pixel]);
-                    if is_within && self.hidden[pixel] == 0 && square < nearest[pixel].0 {
-                        nearest[pixel] = (square, k);
+        let bands = nearest.par_chunks_mut(BAND * columns).enumerate();
+        bands.for_each(|(band, nearest)| {
+            let first = band * BAND;
+            let last = (first + nearest.len() / columns) as i32 - 1;
+            for (k, (outline, reach, range)) in outlines.iter().enumerate() {
+                let reach = (reach + 1.0) as i32;
+                let (y, x) = ((outline / columns) as i32, (outline % columns) as i32);
+                for row in (y - reach).max(first as i32)..=(y + reach).min(last) {
+                    for column in (x - reach).max(0)..=(x + reach).min(columns as i32 - 1) {
+                        let pixel = row as usize * columns + column as usize;
+                        let square = (row - y) * (row - y) + (column - x) * (column - x);
+                        let is_within = range.contains(&self.distance[pixel]);
+                        let nearest = &mut nearest[pixel - first * columns];
+                        if is_within && self.hidden[pixel] == 0 && square < nearest.0 {
+                            *nearest = (square, k);
+                        }
                     }
                 }
             }
-        }
+        });
         let within = |(pixel, &(square, k)): (usize, &(i32, usize))| {
             (square < i32::MAX).then(|| (pixel, k, (square as f32).sqrt()))
         };

@@ -210,7 +210,7 @@ def _medium(of: Prevalence, rng: np.random.Generator) -> Medium | int:
     turbidity = math.exp(float(rng.normal(0.0, 0.3)))
     bile = math.exp(float(rng.normal(0.0, 0.4)))
     flocs = float(rng.uniform(0.0, 500.0))
-    stain = of.stain * math.exp(float(rng.normal(0.0, 0.8)))
+    stain = of.stain * math.exp(float(rng.normal(0.0, 0.6)))
     if prevalence == stain == 0.0:
         return 0
     return Medium(

@@ -166,7 +166,7 @@ def _bubbles(mean: float, rng: np.random.Generator) -> Bubbles | int:
     prevalence, foam = _fraction(mean, rng), float(rng.uniform())
     per_area = 25.0 * 6.0**foam  # 25 to 150 per cm²
     raft = 8.0 * 10.0**foam
-    radius = 0.26 * MM * 0.6**foam
+    radius = 0.36 * MM * 0.5**foam
     if prevalence == 0.0:
         return 0
     return Bubbles(
@@ -174,7 +174,6 @@ def _bubbles(mean: float, rng: np.random.Generator) -> Bubbles | int:
         prevalence=prevalence,
         raft_size=round(raft, 2),
         radius=round(radius, 7),
-        largest=1.6 * MM,
     )
 
 

@@ -334,8 +334,8 @@ the ideal camera without contents, each frame at the same mean luminance.
 
 ## Transit
 
-Phase III carries a MiroCam through a collapsed jejunum in 20 s, as recorded
-(`python -m docs.images.phase_three`).
+Phase III carries a MiroCam through a collapsed jejunum in 20 s, as recorded,
+without a film on the dome (`python -m docs.images.phase_three`).
 
 ![A collapsed jejunum carries a capsule along](../images/phase_three.webp)
 

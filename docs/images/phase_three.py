@@ -1,5 +1,7 @@
 """Draw the video of the gallery: phase III carries a capsule through a collapsed jejunum.
 
+The dome has no film, so that the wall is sharp in all frames.
+
 python -m docs.images.phase_three
 """
 
@@ -25,6 +27,7 @@ def main(path: Path) -> None:
         frames=FRAMES,
         fps=FPS,
         channels=("rgb",),
+        contents=vrcaps.Contents(film=0),
         motion=vrcaps.Dynamics(
             start=0.24, motility="phase-three", drag=Drag(viscosity=1.0), substep=2e-4
         ),

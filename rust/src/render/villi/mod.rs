@@ -290,8 +290,8 @@ fn gaps(seen: &Seen<'_>, places: &[Vec3], pixels: Range<usize>, width: f32, foca
         let is_drawn = !(across + along).is_nan() & (widest > 0.0) & (weight * tuft > 0.0);
         let weight = if is_drawn { weight } else { 0.0 };
         weights[0][i] = weight * single;
-        around[i] = AROUND * (1.0 - slant);
         weights[1][i] = weight * TUFT_GAPS * tuft * (1.0 - single);
+        around[i] = AROUND * (1.0 - slant);
         for k in 0..3 {
             own[k][i] = if is_drawn { own[k][i] } else { 0.0 };
             leans[k][i] = if is_drawn && slant > 0.0 { lean * slope[k] } else { 0.0 };

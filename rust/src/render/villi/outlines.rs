@@ -52,9 +52,6 @@ const SPREAD: f32 = 0.25 / DEVIATION;
 /// Maximum length relative to the mean.
 const TALLEST: f32 = 1.5;
 
-/// Rows of an image that one thread searches for the nearest outlines.
-const BAND: usize = 32;
-
 /// Pixel of an outline.
 pub struct Outline {
     pixel: usize,
@@ -207,29 +204,27 @@ impl Seen<'_> {
     ) -> Vec<(usize, usize, f32)> {
         let (rows, columns) = self.size;
         let outlines: Vec<_> = outlines.collect();
-        let mut nearest = vec![(i32::MAX, 0usize); rows * columns];
-        let bands = nearest.par_chunks_mut(BAND * columns).enumerate();
-        bands.for_each(|(band, nearest)| {
-            let first = band * BAND;
-            let last = (first + nearest.len() / columns) as i32 - 1;
+        let mut nearest = vec![(usize::MAX, 0); rows * columns];
+        nearest.par_chunks_mut(columns.max(1)).enumerate().for_each(|(row, nearest)| {
+            let pixels = row * columns..(row + 1) * columns;
+            let (distance, hidden) = (&self.distance[pixels.clone()], &self.hidden[pixels]);
             for (k, (outline, reach, range)) in outlines.iter().enumerate() {
-                let reach = (reach + 1.0) as i32;
-                let (y, x) = ((outline / columns) as i32, (outline % columns) as i32);
-                for row in (y - reach).max(first as i32)..=(y + reach).min(last) {
-                    for column in (x - reach).max(0)..=(x + reach).min(columns as i32 - 1) {
-                        let pixel = row as usize * columns + column as usize;
-                        let square = (row - y) * (row - y) + (column - x) * (column - x);
-                        let is_within = range.contains(&self.distance[pixel]);
-                        let nearest = &mut nearest[pixel - first * columns];
-                        if is_within && self.hidden[pixel] == 0 && square < nearest.0 {
-                            *nearest = (square, k);
-                        }
+                let reach = (reach + 1.0) as usize;
+                let (y, x) = (outline / columns, outline % columns);
+                if row.abs_diff(y) > reach {
+                    continue;
+                }
+                for column in x.saturating_sub(reach)..=(x + reach).min(columns - 1) {
+                    let square = row.abs_diff(y).pow(2) + column.abs_diff(x).pow(2);
+                    let is_nearer = square < nearest[column].0;
+                    if is_nearer && hidden[column] == 0 && range.contains(&distance[column]) {
+                        nearest[column] = (square, k);
                     }
                 }
             }
         });
-        let within = |(pixel, &(square, k)): (usize, &(i32, usize))| {
-            (square < i32::MAX).then(|| (pixel, k, (square as f32).sqrt()))
+        let within = |(pixel, &(square, k)): (usize, &(usize, usize))| {
+            (square < usize::MAX).then(|| (pixel, k, (square as f32).sqrt()))
         };
         nearest.iter().enumerate().filter_map(within).collect()
     }
